@@ -11,8 +11,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from mcap.reader import make_reader
-from mcap.writer import Writer
 from rosbags.rosbag1 import Reader
 from rosbags.rosbag1 import Writer as BagWriter
 
@@ -26,44 +24,6 @@ from topobatch.simulation.scenario import simulate_scenario
 from topobatch.simulation.settings import ScenarioSettings
 from topobatch.simulation.writing import write_run
 from topobatch.topology.document import read_map
-
-
-def changed_mcap(source, target, keep=lambda topic: True, copies=lambda topic: [topic]):
-    """A copy of an MCAP file with topics left out, or written under several names."""
-    with source.open("rb") as read, target.open("wb") as written:
-        writer = Writer(written)
-        writer.start("ros2")
-        channels = {}
-        for schema, channel, message in make_reader(read).iter_messages(log_time_order=False):
-            if not keep(channel.topic):
-                continue
-            for topic in copies(channel.topic):
-                if topic not in channels:
-                    number = writer.register_schema(schema.name, schema.encoding, schema.data)
-                    channels[topic] = writer.register_channel(
-                        topic, channel.message_encoding, number
-                    )
-                writer.add_message(
-                    channels[topic],
-                    message.log_time,
-                    message.data,
-                    message.publish_time,
-                    message.sequence,
-                )
-        writer.finish()
-    return target
-
-
-def test_four_containers_one_map(topobatch, logs, tmp_path):
-    found = set()
-    for kind in ("mcap", "bag", "db3", "ros2-mcap"):
-        done = topobatch("ingest", logs[kind], "-w", tmp_path / kind)
-        assert done.code == 0, done
-        (document,) = (tmp_path / kind / "maps").glob("*.json")
-        assert (tmp_path / kind / "maps" / f"{document.stem}.rrd").stat().st_size > 10_000
-        found.add(document.read_bytes())
-        assert read_map(document).run == document.stem
-    assert len(found) == 1
 
 
 def test_a_folder_of_logs_then_merge(topobatch, logs, tmp_path):
@@ -196,41 +156,10 @@ def test_outcomes_as_json(topobatch, logs, tmp_path):
     assert "gone.mcap" in done.err
 
 
-def test_missing_file(topobatch, tmp_path):
-    error = topobatch("ingest", tmp_path / "gone.mcap", "-w", tmp_path / "ws").error(1)
-    assert "gone.mcap" in error
-
-
 def test_folder_that_holds_no_log(topobatch, tmp_path):
     (tmp_path / "empty").mkdir()
     error = topobatch("ingest", tmp_path / "empty", "-w", tmp_path / "ws").error(1)
     assert str(tmp_path / "empty") in error
-
-
-def test_no_odometry(topobatch, logs, tmp_path):
-    log = changed_mcap(logs["mcap"], tmp_path / "x.mcap", keep=lambda topic: topic != "/odom")
-    error = topobatch("ingest", log, "-w", tmp_path / "ws").error(1)
-    assert "odometry" in error
-    assert "/junctions" in error
-
-
-def test_no_junctions(topobatch, logs, tmp_path):
-    log = changed_mcap(logs["mcap"], tmp_path / "x.mcap", keep=lambda topic: topic == "/odom")
-    error = topobatch("ingest", log, "-w", tmp_path / "ws").error(1)
-    assert "junction" in error
-    assert "/odom" in error
-
-
-def test_two_candidate_topics(topobatch, logs, tmp_path):
-    def twice(topic):
-        return ["/wheel", "/visual"] if topic == "/odom" else [topic]
-
-    log = changed_mcap(logs["mcap"], tmp_path / "x.mcap", copies=twice)
-    done = topobatch("ingest", log, "-w", tmp_path / "ws")
-    for word in ("/wheel", "/visual", "--odometry-topic"):
-        assert word in done.error(2)
-    done = topobatch("ingest", log, "-w", tmp_path / "ws", "--odometry-topic", "/wheel")
-    assert done.code == 0, done
 
 
 def test_a_truncated_log_is_salvaged_and_said(topobatch, logs, tmp_path):
@@ -348,16 +277,6 @@ def test_quiet_says_nothing_but_errors(topobatch, logs, tmp_path):
     done = topobatch("ingest", logs["mcap"], "-w", tmp_path / "ws", "--quiet")
     assert (done.code, done.out, done.err) == (0, "", "")
     assert topobatch("merge", "--all", "-w", tmp_path / "ws", "-q").out == ""
-
-
-def test_info(topobatch, logs, tmp_path):
-    for kind in ("mcap", "bag", "db3", "ros2-mcap"):
-        done = topobatch("info", logs[kind])
-        assert done.code == 0, done
-        assert "nav_msgs/msg/Odometry" in done.out
-        assert "odometry: " in done.out
-        assert "junctions: " in done.out
-    assert "gone.mcap" in topobatch("info", tmp_path / "gone.mcap").error(1)
 
 
 def test_info_takes_what_ingest_takes_of_reading(topobatch, logs):

@@ -3,36 +3,19 @@
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
 from topobatch.merge.merged_schema import MergedDocument
 from topobatch.topology.map_schema import MapDocument
 
-
-def run(*arguments: str | Path, **environment: str) -> subprocess.CompletedProcess[str]:
-    """`topobatch …` in a process of its own, without a display."""
-    hidden = ("DISPLAY", "WAYLAND_DISPLAY", "TOPOBATCH_WORKSPACE")
-    env = {k: v for k, v in os.environ.items() if k not in hidden} | environment
-    command = [sys.executable, "-m", "topobatch.cli", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, check=False, env=env)
-
-
-def one_line_error(done: subprocess.CompletedProcess[str], code: int) -> str:
-    assert done.returncode == code, done
-    assert "Traceback" not in done.stderr
-    lines = done.stderr.strip().splitlines()
-    assert len(lines) == 1, lines
-    assert lines[0].startswith("error: ")
-    return lines[0]
+from .conftest import Shown
 
 
 def test_help_and_version(topobatch):
-    assert run("--version").stdout.startswith("topobatch 0.")
+    assert topobatch("--version").out.startswith("topobatch 0.")
     shown = topobatch("--help")
     assert shown.code == 0
     commands = (
@@ -51,12 +34,18 @@ def test_schema_is_published(topobatch, name, model):
     assert json.loads(topobatch("schema", name).out) == model.model_json_schema(by_alias=True)
 
 
-@pytest.mark.parametrize(
-    "arguments", [["ingest"], ["merge", "--method", "guess"], ["schema", "x"], ["nonsense"]]
-)
-def test_wrong_calls_exit_with_2(topobatch, arguments):
-    error = topobatch(*arguments).error(2)
-    assert "--help`" in error
+@pytest.mark.parametrize("document", ["map", "merged"])
+def test_every_field_of_the_documents_is_described(topobatch, document) -> None:
+    schema = json.loads(topobatch("schema", document).out)
+    parts = {document: schema, **schema["$defs"]}
+    fields = {
+        f"{part}.{name}": field
+        for part, of in parts.items()
+        for name, field in of.get("properties", {}).items()
+    }
+    assert len(fields) > 30
+    assert [name for name, field in fields.items() if not field.get("description")] == []
+    assert all(of.get("description") for of in parts.values())
 
 
 def test_view_without_a_display_says_how(topobatch, tmp_path):
@@ -75,7 +64,7 @@ def test_a_full_disk_is_said_and_waited_for_by_nobody(logs, tmp_path):
     )
     command = [sys.executable, "-c", code, "ingest", logs["mcap"], "-w", tmp_path / "ws"]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
-    error = one_line_error(done, 1)
+    error = Shown(done.returncode, done.stdout, done.stderr).error(1)
     assert str(tmp_path / "ws" / "maps") in error
     assert ".rrd: File too large" in error
     assert not list((tmp_path / "ws" / "maps").iterdir())  # half a run is none

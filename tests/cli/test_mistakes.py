@@ -153,6 +153,7 @@ def test_a_merge_that_is_not_there(topobatch, merged_site, monkeypatch, call):
         ("export run1 -f geojson", "did you mean 'nav2'? see `topobatch export --help`"),
         ("ingest run1.mcap -j -1", "must be greater than or equal to 0; see `topobatch ingest -"),
         ("merge --all -w", "requires an argument; see `topobatch merge --help`"),
+        ("ingest", "see `topobatch ingest --help`"),
         ("merg --all", "did you mean 'merge'? see `topobatch --help`"),
         ("changes --component 9", "there is no component 9; there are: 0"),
         ("export merged -f nav2 --component 9", "there is no component 9; there are: 0"),

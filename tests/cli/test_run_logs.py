@@ -26,10 +26,10 @@ def named(root: Path, *paths: str, place: Workspace | None = None, force: bool =
     return {path: names[root / path] for path in paths}
 
 
-def record(place: Workspace, run: str, log: Path | str, content: str = "") -> None:
+def record(place: Workspace, run: str, log: Path) -> None:
     path = place.ingest_record(run)
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps({"log": str(log), "runs": [run], "content": content}))
+    path.write_text(json.dumps({"log": str(log), "runs": [run]}))
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,8 @@ from topobatch.topology.files import read_json
 from topobatch.topology.view_file import views_path
 from topobatch.topology.views import FREE, SIDE, WALL, Views
 
+from .conftest import nameless
+
 
 @pytest.fixture
 def merged(buildings):
@@ -25,14 +27,6 @@ def merged(buildings):
 
 def document(workspace):
     return json.loads((workspace / "merged.json").read_bytes())
-
-
-def nameless(workspace):
-    """The merge without the names of its sites, which hang on earlier merges."""
-    found = document(workspace)
-    for component in found["graph"]["components"]:
-        assert component.pop("site")
-    return found
 
 
 def entries(workspace):
@@ -283,6 +277,8 @@ def test_info_of_several_logs(topobatch, logs, tmp_path):
     assert {t["topic"] for t in one["topics"]} >= {"/odom", "/junctions"}
     shown = topobatch("info", *both)
     assert sum(": run " in line for line in shown.out.splitlines()) == 2
+    for words in ("nav_msgs/msg/Odometry", "odometry: ", "junctions: "):
+        assert shown.out.count(words) == 2
     bad = topobatch("info", logs["mcap"], tmp_path / "gone.mcap", "--json")
     assert bad.code == 1
     assert len(json.loads(bad.out)) == 1

@@ -8,6 +8,8 @@ import pytest
 from topobatch.cli import unchanged
 from topobatch.merge.locks import discards_to_document
 
+from .conftest import nameless
+
 NOTHING_NEW = "nothing is new"
 
 
@@ -28,14 +30,6 @@ def place(merged, topobatch, tmp_path):
 
 def files(place):
     return {path.name: path.read_bytes() for path in (place / "merged.json", place / "merged.rrd")}
-
-
-def nameless(place):
-    """The merge without the names of its sites, which hang on earlier merges."""
-    found = json.loads((place / "merged.json").read_bytes())
-    for component in found["graph"]["components"]:
-        del component["site"]
-    return found
 
 
 def test_nothing_new_is_not_merged_but_said_again_and_noted(topobatch, place):

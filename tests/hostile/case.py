@@ -20,9 +20,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from topobatch.ingest.logs.messages import Findings
 
-TOPICS = ("/odom", "/junctions")
-"""The topics that every generated log is read for."""
-
 
 @dataclass(frozen=True)
 class Case:

@@ -43,16 +43,12 @@ def _write(
     return path, len(messages)
 
 
-def _usual(encoding: str, text: bytes = b"", kind: str = "") -> dict[str, tuple[str, str, bytes]]:
-    kind = kind or {"json": "jsonschema", "protobuf": "protobuf"}[encoding]
-    return {"/odom": (POSE, kind, text), "/junctions": (POSES, kind, text)}
+def _usual(encoding: str) -> dict[str, tuple[str, str, bytes]]:
+    kind = {"json": "jsonschema", "protobuf": "protobuf"}[encoding]
+    return {"/odom": (POSE, kind, b""), "/junctions": (POSES, kind, b"")}
 
 
 # Protobuf
-
-
-def _varint(value: int) -> bytes:
-    return bytes(writers().varint(value))
 
 
 def _part(number: int, raw: bytes) -> bytes:
@@ -61,7 +57,8 @@ def _part(number: int, raw: bytes) -> bytes:
 
 def _protobuf_bytes(rng: random.Random, folder: Path) -> Case:
     """Messages that nest, repeat, end early or never."""
-    point = b"".join(_varint(n << 3 | 1) + struct.pack("<d", 1e308) for n in (1, 2, 3))
+    tags = (writers().varint(n << 3 | 1) for n in (1, 2, 3))
+    point = b"".join(tag + struct.pack("<d", 1e308) for tag in tags)
     pose = _part(1, point) + _part(2, point)
     deep = b""
     for _ in range(2000):

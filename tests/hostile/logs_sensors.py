@@ -17,7 +17,6 @@ from case import Case, Generator, writers
 
 SECOND = 10**9
 START_NS = 1_700_000_000 * SECOND
-MIB = 1 << 20
 
 ABSURD = (0.0, -0.0, 1e-45, -1e-30, 1e-9, -1.0, 1e9, 1e30, math.nan, math.inf, -math.inf)
 """Numbers that fit into a float32 and into nothing that was measured."""
@@ -209,16 +208,10 @@ def _cloud_fields(rng: random.Random) -> list[Message]:
 # Grids
 
 
-def _grid(
-    data: bytes,
-    size: tuple[int, int],
-    resolution: float = 0.05,
-    pose: tuple[float, ...] = (0, 0, 0, 0, 0, 0, 1),
-    count: int | None = None,
-) -> bytes:
+def _grid(data: bytes, size: tuple[int, int], resolution: float = 0.05) -> bytes:
     body = Cdr().header(START_NS, "map").put("I", 0, 0).put("f", resolution)
-    body.put("I", *size).put("d", *pose)
-    return body.put("I", len(data) if count is None else count).done(data)
+    body.put("I", *size).put("d", 0, 0, 0, 0, 0, 0, 1)
+    return body.put("I", len(data)).done(data)
 
 
 def _cells(rng: random.Random, width: int, height: int) -> bytes:

@@ -12,7 +12,6 @@ from case import Case, Generator, writers
 
 PARTS = 4
 ODOMETRY = 400
-SECOND = 10**9
 
 
 def _parts(rng: random.Random, folder: Path) -> tuple[Path, list[int]]:

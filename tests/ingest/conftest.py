@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
 import uuid
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import timedelta
-from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -19,35 +16,27 @@ from obstore.store import S3Store
 from topobatch.ingest.remote import store
 from topobatch.ingest.remote.path import RemotePath
 
-
-def _beside(name: str) -> ModuleType:
-    """A helper module of this folder, which --import-mode=importlib cannot import by name."""
-    full = f"topobatch_test_ingest_{name}"
-    if full not in sys.modules:
-        spec = importlib.util.spec_from_file_location(full, Path(__file__).parent / f"{name}.py")
-        assert spec is not None
-        assert spec.loader is not None
-        sys.modules[full] = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(sys.modules[full])
-    return sys.modules[full]
+from . import log_writers, scan_logs
 
 
 @pytest.fixture(scope="session")
 def logs() -> ModuleType:
     """The writers of logs."""
-    return _beside("log_writers")
+    return log_writers
 
 
 @pytest.fixture(scope="session")
 def sensors() -> ModuleType:
     """Messages of lasers, clouds and grids."""
-    return _beside("scan_logs")
+    return scan_logs
 
 
 @pytest.fixture(scope="session")
 def servers() -> ModuleType:
     """An S3 server, one that fails on demand, and a web server."""
-    return _beside("servers")
+    from . import servers as module
+
+    return module
 
 
 @pytest.fixture(scope="session")
@@ -73,8 +62,6 @@ class Bucket:
 
     name: str
     proxy: Any
-    upstream: Callable[[Any, bytes], Any]
-    request: Any
     port: int
 
     @property
@@ -84,11 +71,6 @@ class Bucket:
     def put(self, key: str, data: bytes) -> None:
         """Past the proxy."""
         obstore.put(S3Store(self.name, endpoint=f"http://127.0.0.1:{self.port}"), key, data)
-
-    def put_as_named(self, key: str, data: bytes) -> None:
-        """A new object, whatever its key, which is encoded as in an address."""
-        answer = self.upstream(self.request("PUT", f"/{self.name}/{key}", {}), data)
-        assert answer.status == 200, answer
 
     def path(self, key: str = "", *, allow_scan: bool = False) -> RemotePath:
         return RemotePath.parse(f"{self.url}/{key}", allow_scan=allow_scan)
@@ -108,6 +90,6 @@ def bucket(
             ("AWS_ENDPOINT_URL", f"http://127.0.0.1:{proxy.port}"),
         ):
             monkeypatch.setenv(name, value)
-        made = Bucket(f"b{uuid.uuid4().hex}", proxy, upstream, servers.Request, s3_port)
+        made = Bucket(f"b{uuid.uuid4().hex}", proxy, s3_port)
         assert upstream(servers.Request("PUT", f"/{made.name}", {}), b"").status == 200
         yield made

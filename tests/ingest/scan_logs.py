@@ -9,27 +9,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from .log_writers import TF, field, store_of, varint
 
 START_NS = 1_700_000_000_000_000_000
 SCAN = "sensor_msgs/msg/LaserScan"
 ECHOES = "sensor_msgs/msg/MultiEchoLaserScan"
 CLOUD = "sensor_msgs/msg/PointCloud2"
 GRID = "nav_msgs/msg/OccupancyGrid"
-TF = "tf2_msgs/msg/TFMessage"
-ODOMETRY = "nav_msgs/msg/Odometry"
 
 Row = tuple[str, str, int, bytes]
 """Topic, type, log time and payload of a message."""
-
-
-def store_of(ros1: bool) -> Any:
-    store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
-    if TF not in store.types:
-        store.register(
-            get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/TFMessage")
-        )
-    return store
 
 
 ROS2, ROS1 = store_of(False), store_of(True)
@@ -123,12 +113,13 @@ def cloud(
         for k in range(size):
             at = lead + axis * size + k
             data[:, at : width * step : step] = raw[..., k]
-    field = types["sensor_msgs/msg/PointField"]
+    of_points = types["sensor_msgs/msg/PointField"]
     code = {"f4": 7, "f8": 8, "i2": 3}[kind[1:]]
     fields = [
-        field(name=n, offset=lead + i * size, datatype=code, count=1) for i, n in enumerate("xyz")
+        of_points(name=n, offset=lead + i * size, datatype=code, count=1)
+        for i, n in enumerate("xyz")
     ]
-    fields.insert(0, field(name="intensity", offset=0, datatype=2, count=1))
+    fields.insert(0, of_points(name="intensity", offset=0, datatype=2, count=1))
     message = types[CLOUD](
         header=header(stamp_ns, frame, encoding),
         height=height,
@@ -181,12 +172,12 @@ def mount(child: str, pose: tuple[float, ...], parent: str = "base_link") -> byt
     return packed(t[TF](transforms=[stamped]), TF)
 
 
-def foxglove_json(ranges: Any, stamp_ns: int = START_NS, frame: str = "laser") -> bytes:
+def foxglove_json(ranges: Any) -> bytes:
     zero = {"x": 0, "y": 0, "z": 0}
     return json.dumps(
         {
-            "timestamp": {"sec": stamp_ns // 10**9, "nsec": stamp_ns % 10**9},
-            "frame_id": frame,
+            "timestamp": {"sec": START_NS // 10**9, "nsec": START_NS % 10**9},
+            "frame_id": "laser",
             "pose": {"position": {**zero, "x": 0.5}, "orientation": {**zero, "w": 1}},
             "start_angle": -1.0,
             "end_angle": 1.0,
@@ -196,35 +187,19 @@ def foxglove_json(ranges: Any, stamp_ns: int = START_NS, frame: str = "laser") -
     ).encode()
 
 
-def _field(number: int, wire: int, raw: bytes) -> bytes:
-    size = b"" if wire == 1 else _varint(len(raw))
-    return _varint(number << 3 | wire) + size + raw
-
-
-def _varint(value: int) -> bytes:
-    out = bytearray()
-    while value > 0x7F:
-        out.append(value & 0x7F | 0x80)
-        value >>= 7
-    return bytes([*out, value])
-
-
-def foxglove_protobuf(
-    ranges: Any, stamp_ns: int = START_NS, frame: str = "laser", whole: bool = True
-) -> bytes:
+def foxglove_protobuf(ranges: Any, whole: bool = True) -> bytes:
     """whole: ranges in one packed field, as every writer does; else one by one."""
-    stamp = b"\x08" + _varint(stamp_ns // 10**9) + b"\x10" + _varint(stamp_ns % 10**9)
-    position = _field(1, 2, _field(1, 1, struct.pack("<d", 0.5)))
-    out = _field(1, 2, stamp) + _field(2, 2, frame.encode()) + _field(3, 2, position)
-    out += _field(4, 1, struct.pack("<d", -1.0)) + _field(5, 1, struct.pack("<d", 1.0))
-    numbers = [struct.pack("<d", r) for r in ranges]
+    stamp = b"\x08" + varint(START_NS // 10**9) + b"\x10" + varint(START_NS % 10**9)
+    position = field(1, _double(1, 0.5))
+    out = field(1, stamp) + field(2, b"laser") + field(3, position)
+    out += _double(4, -1.0) + _double(5, 1.0)
     if whole:
-        return out + _field(6, 2, b"".join(numbers))
-    return out + b"".join(_field(6, 1, raw) for raw in numbers)
+        return out + field(6, b"".join(struct.pack("<d", r) for r in ranges))
+    return out + b"".join(_double(6, r) for r in ranges)
 
 
 def foxglove_cloud(
-    xyz: Any, encoding: str, frame: str = "laser", pose: tuple[float, ...] = (0, 0, 0, 0, 0, 0, 1)
+    xyz: Any, encoding: str, pose: tuple[float, ...] = (0, 0, 0, 0, 0, 0, 1)
 ) -> bytes:
     """A foxglove.PointCloud of a byte of intensity, then x, y as float32, z as float64."""
     points = np.zeros(len(xyz), np.dtype("u1, <f4, <f4, <f8"))
@@ -236,29 +211,32 @@ def foxglove_cloud(
         return json.dumps(
             {
                 "timestamp": {"sec": START_NS // 10**9, "nsec": START_NS % 10**9},
-                "frame_id": frame,
+                "frame_id": "laser",
                 "pose": dict(zip(names, parts, strict=True)),
                 "point_stride": points.itemsize,
                 "fields": [{"name": n, "offset": at, "type": t} for n, at, t in fields],
                 "data": base64.b64encode(points.tobytes()).decode(),
             }
         ).encode()
-    stamp = b"\x08" + _varint(START_NS // 10**9) + b"\x10" + _varint(START_NS % 10**9)
+    stamp = b"\x08" + varint(START_NS // 10**9) + b"\x10" + varint(START_NS % 10**9)
     parts = (
-        b"".join(_field(k + 1, 1, struct.pack("<d", v)) for k, v in enumerate(part))
-        for part in (pose[:3], pose[3:])
+        b"".join(_double(k + 1, v) for k, v in enumerate(part)) for part in (pose[:3], pose[3:])
     )
-    out = _field(1, 2, stamp) + _field(2, 2, frame.encode())
-    out += _field(3, 2, b"".join(_field(k, 2, part) for k, part in enumerate(parts, 1)))
+    out = field(1, stamp) + field(2, b"laser")
+    out += field(3, b"".join(field(k, part) for k, part in enumerate(parts, 1)))
     out += _fixed32(4, points.itemsize)
     for name, at, kind in fields:
-        told = _field(1, 2, name.encode()) + _fixed32(2, at) + _varint(3 << 3) + _varint(kind)
-        out += _field(5, 2, told)
-    return out + _field(6, 2, points.tobytes())
+        told = field(1, name.encode()) + _fixed32(2, at) + varint(3 << 3) + varint(kind)
+        out += field(5, told)
+    return out + field(6, points.tobytes())
+
+
+def _double(number: int, value: float) -> bytes:
+    return varint(number << 3 | 1) + struct.pack("<d", value)
 
 
 def _fixed32(number: int, value: int) -> bytes:
-    return _varint(number << 3 | 5) + struct.pack("<I", value)
+    return varint(number << 3 | 5) + struct.pack("<I", value)
 
 
 def room(x: float, y: float, yaw: float, beams: int) -> Any:
@@ -270,9 +248,7 @@ def room(x: float, y: float, yaw: float, beams: int) -> Any:
         return np.minimum(np.abs(sides[0] / c), np.abs(sides[1] / s))
 
 
-def around(
-    pose: tuple[float, ...], stamp_ns: int, frame: str = "base_link", encoding: str = "cdr"
-) -> bytes:
+def around(pose: tuple[float, ...], stamp_ns: int) -> bytes:
     """A scan of that room by a laser at the robot's middle; pose: as of `log_writers`."""
     x, y, *_, z, w = pose
     beams = 720
@@ -280,8 +256,7 @@ def around(
     return scan(
         room(x, y, 2 * np.arctan2(z, w), beams),
         stamp_ns,
-        frame,
-        encoding,
+        "base_link",
         angle_min=-np.pi,
         angle_max=np.pi - step,
         angle_increment=step,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -10,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from topobatch.ingest.inspection import as_read
 from topobatch.ingest.junction_source import junction_source
 from topobatch.ingest.logs.grids import GridLog
 from topobatch.ingest.logs.messages import Channel
@@ -72,13 +74,7 @@ def scenario(**changes: Any) -> Scenario:
         laser=LaserSettings(beams=120, rate_hz=4.0, door_share=0.0, people_per_100_m=0.0),
         seed=3,
     )
-    return simulate_scenario(settings if not changes else replace_all(settings, changes))
-
-
-def replace_all(settings: ScenarioSettings, changes: dict[str, Any]) -> ScenarioSettings:
-    from dataclasses import replace
-
-    return replace(settings, **changes)
+    return simulate_scenario(replace(settings, **changes))
 
 
 DETECTIONS_ALONE = ReadSettings(junctions_from="topic")
@@ -295,10 +291,11 @@ def test_clouds_become_a_map(both: Path, sensors: ModuleType, tmp_path: Path) ->
     assert run.warnings == ()
 
 
-def test_scans_without_odometry(both: Path, sensors: ModuleType, tmp_path: Path) -> None:
-    def scans_alone(topic: str, *rest: Any) -> list[Any]:
-        return [(topic, *rest)] if topic in ("/scan", "/tf_static") else []
+def scans_alone(topic: str, *rest: Any) -> list[Any]:
+    return [(topic, *rest)] if topic in ("/scan", "/tf_static") else []
 
+
+def test_scans_without_odometry(both: Path, sensors: ModuleType, tmp_path: Path) -> None:
     log = rewritten(both, tmp_path / "scans.mcap", sensors, scans_alone)
     assert inspect_log(log).problems == ()
     run = read_run(log)
@@ -307,3 +304,24 @@ def test_scans_without_odometry(both: Path, sensors: ModuleType, tmp_path: Path)
     assert any("no odometry" in warning for warning in run.warnings)
     way = read_run(both).odometry.step_m.sum()
     assert run.odometry.step_m.sum() == pytest.approx(way, rel=0.1)
+
+
+def test_an_odometry_that_never_moves_is_left_out(
+    both: Path, sensors: ModuleType, tmp_path: Path
+) -> None:
+    def stands(topic: str, kind: str, log_ns: int, raw: bytes) -> list[Any]:
+        if topic != "/odom":
+            return scans_alone(topic, kind, log_ns, raw)
+        odometry = sensors.ROS2.deserialize_cdr(raw, kind)
+        odometry.pose.pose.position.x = odometry.pose.pose.position.y = 0.0
+        return [(topic, kind, log_ns, sensors.packed(odometry, kind))]
+
+    log = rewritten(both, tmp_path / "stands.mcap", sensors, stands)
+    run = read_run(log)
+    assert run.warnings[0] == (
+        "/odom: never moves, but the scans do; left out: each scan was matched to the one before"
+    )
+    alone = read_run(rewritten(both, tmp_path / "alone.mcap", sensors, scans_alone))
+    assert run.odometry.step_m.sum() == pytest.approx(alone.odometry.step_m.sum(), rel=0.01)
+    uses = {topic.topic: topic.why for topic in as_read(inspect_log(log), run.source).topics}
+    assert uses["/odom"] == "not used: never moves, but the scans do"

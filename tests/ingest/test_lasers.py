@@ -6,7 +6,6 @@ from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 
-import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
 
@@ -134,38 +133,3 @@ def test_a_filtered_copy_is_left_out_and_named(
         "",
         "not used: /scan sees all of its directions in the same frame",
     )
-
-
-def _cloud(sensors: ModuleType, raw: bytes, kind: str, beams: slice, frame: str) -> bytes:
-    """What a camera or scanner of some beams sees, as points."""
-    scan = sensors.ROS2.deserialize_cdr(raw, kind)
-    angle = scan.angle_min + scan.angle_increment * np.arange(len(scan.ranges))
-    angle, way = angle[beams], scan.ranges[beams].astype(np.float64)
-    echo = np.isfinite(way)
-    xyz = np.column_stack([way * np.cos(angle), way * np.sin(angle), np.zeros(len(way))])
-    stamp_ns = scan.header.stamp.sec * 10**9 + scan.header.stamp.nanosec
-    return bytes(sensors.cloud(xyz[echo], frame=frame, stamp_ns=stamp_ns))
-
-
-@pytest.fixture
-def clouds(office: list[Row], sensors: ModuleType, tmp_path: Path) -> Callable[..., Run]:
-    """Writes the run with clouds (topic, frame, beams) in place of its laser, and reads it."""
-
-    def run_of(*views: tuple[str, str, slice]) -> Run:
-        rows: list[Row] = []
-        for topic, kind, log_ns, raw in office:
-            if topic == "/tf_static":
-                pose = (0.15, 0.0, 0.2, 0.0, 0.0, 0.0, 1.0)
-                frames = sorted({frame for _, frame, _ in views})
-                rows += [(topic, kind, log_ns, sensors.mount(name, pose)) for name in frames]
-            elif topic == "/scan":
-                rows += [
-                    (name, sensors.CLOUD, log_ns, _cloud(sensors, raw, kind, beams, frame))
-                    for name, frame, beams in views
-                ]
-            else:
-                rows.append((topic, kind, log_ns, raw))
-        number = len(list(tmp_path.iterdir()))
-        return read_run(sensors.mcap(tmp_path / f"clouds{number}.mcap", rows))
-
-    return run_of

@@ -3,7 +3,6 @@ hand."""
 
 from __future__ import annotations
 
-import dataclasses
 import importlib.util
 import sys
 from functools import partial
@@ -13,8 +12,6 @@ import numpy as np
 import pytest
 
 from topobatch.simulation.worlds import make_world
-from topobatch.topology.ragged import Ragged
-from topobatch.topology.se2 import apply, wrap
 
 from ..maps import straight_map
 
@@ -31,7 +28,6 @@ def _benchmark(name):
 
 
 OBSERVED = _benchmark("observed")
-EXACT = OBSERVED.Seeing(centre_m=0.02, branch_rad=0.02, bend_m=0.0, missed=0.0, branch_fault=-1.0)
 
 
 @pytest.fixture(scope="session")
@@ -122,29 +118,3 @@ def right_matches():
         return np.mean([a.info["truth"][i] == b.info["truth"][j] for i, j in np.asarray(matched)])
 
     return share
-
-
-@pytest.fixture(scope="session")
-def moved():
-    """moved(map, T) -> the same map drawn in another frame."""
-
-    def moved(topomap, T):
-        rows = [wrap(row + T[2]) for row in topomap.branches.take(range(len(topomap)))]
-        order = [np.argsort(row) for row in rows]
-
-        def branch(vertex, index):
-            rank = [np.argsort(o) for o in order]
-            return np.array(
-                [-1 if k < 0 else rank[v][k] for v, k in zip(vertex, index, strict=True)], np.int64
-            )
-
-        return dataclasses.replace(
-            topomap,
-            xy=apply(T, topomap.xy),
-            branches=Ragged.from_rows(r[o] for r, o in zip(rows, order, strict=True)),
-            source_branch=branch(topomap.source, topomap.source_branch),
-            target_branch=branch(topomap.target, topomap.target_branch),
-            paths=tuple(apply(T, p) for p in topomap.paths),
-        )
-
-    return moved

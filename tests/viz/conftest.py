@@ -18,8 +18,6 @@ from topobatch.topology.odometry import Odometry
 from topobatch.topology.ragged import Ragged
 from topobatch.topology.se2 import apply, compose, inverse, wrap
 from topobatch.topology.topomap import Closure, TopoMap
-from topobatch.topology.turning_points import TURNING_POINT
-from topobatch.topology.turning_vertices import without_turning_points
 
 STEP_NS = 10**9
 
@@ -76,16 +74,6 @@ def make_map() -> Callable[..., TopoMap]:
                 "source": {"odometry": {"topic": "/odom", "messages": 140}, "time": "header"},
             },
         )
-
-    return make
-
-
-@pytest.fixture
-def turned() -> Callable[[TopoMap], TopoMap]:
-    """turned(topomap): the square's map, where the robot turned round at what was vertex 4."""
-
-    def make(topomap: TopoMap) -> TopoMap:
-        return without_turning_points(replace(topomap, kind=(*topomap.kind[:4], TURNING_POINT)))
 
     return make
 

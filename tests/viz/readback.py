@@ -3,7 +3,6 @@
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from rerun.chunk import RrdReader
 
 
@@ -37,12 +36,6 @@ class Readback:
         """The values of a component that was logged once."""
         (row,) = self.rows(entity, component)
         return list(row)
-
-    def times(self, entity: str, timeline: str) -> np.ndarray:
-        """All times of an entity on a timeline, ascending."""
-        columns = self._columns(entity, timeline)
-        found = [column.cast("int64").to_numpy(zero_copy_only=False) for column in columns]
-        return np.unique(np.concatenate(found))
 
     def content(self) -> dict[tuple[str, str], list[Any]]:
         """Everything but the identities of rows and chunks."""
