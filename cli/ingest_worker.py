@@ -174,8 +174,7 @@ def _ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcom
     if not job.force and before.key == key and _whole(place, before, job.run):
         pieces = before.pieces(job.run)
         if before.log != origin(job.log):  # it was moved
-            doc = asdict(replace(before, log=origin(job.log)))
-            write_together({place.ingest_record(p): partial(write_json, doc=doc) for p in pieces})
+            _write_record(place, replace(before, log=origin(job.log)), pieces)
         return IngestOutcome(job.run, "unchanged", "unchanged, kept", maps=len(pieces))
     found = replace(read_log(job.log, job.read, on_bytes=on_bytes), name=job.run)
     try:
@@ -213,8 +212,7 @@ def _ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcom
         runs=runs,
         views=[m.run for m in maps if len(m.views)],
     )
-    write = partial(write_json, doc=asdict(record))
-    write_together({place.ingest_record(run): write for run in reversed(runs)})
+    _write_record(place, record, runs)
     text = f"{_summary(maps, odometry)} ({time.monotonic() - started:.1f} s)"
     if unusual := describe_unusual(maps[0].info):
         text += f"; {unusual}"
@@ -228,6 +226,12 @@ def _ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcom
         details=_details(job, topomap),
         size=(length_m, sum(map(len, maps)), sum(len(m.source) for m in maps)),
     )
+
+
+def _write_record(place: Workspace, record: IngestRecord, runs: Sequence[str]) -> None:
+    """Write the record of a log for the runs that it gave: for the first of them last."""
+    write = partial(write_json, doc=asdict(record))
+    write_together({place.ingest_record(run): write for run in reversed(runs)})
 
 
 def _whole(place: Workspace, record: IngestRecord, run: str) -> bool:

@@ -3,13 +3,13 @@ changed."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
 from ..merge.document import read_merged, write_merged
-from ..merge.result import MergeResult, pairs_of
+from ..merge.result import MergeResult, fused_of, pairs_of
 from ..merge.sites import Origin, SiteHistory, site_names
 from ..topology.errors import DataError, DocumentError
 from ..topology.files import write_together
@@ -102,18 +102,9 @@ def _repeat(place: Workspace, affected: Collection[str], new: Mapping[str, str])
     say(f"merged again{name}: {counted(len(maps), 'run')}, {describe_pairs(result)}")
     for each in moved:
         say(each)
-    now = {(run, v): k for k, own in enumerate(result.fused.members) for run, v in _each(own)}
-    if any(
-        now.get((new.get(run, run), v), node.id) != node.id
-        for node in document.nodes
-        for run, v in _each(node.members)
-    ):
+    now, then = fused_of(result.fused.members), fused_of([node.members for node in document.nodes])
+    if any(now.get((new.get(run, run), v), k) != k for (run, v), k in then.items()):
         say("junctions of sites have other numbers now; draw and export them again")
-
-
-def _each(members: Mapping[str, Sequence[int]]) -> Iterator[tuple[str, int]]:
-    """The members of a fused junction: a run and its junction."""
-    return ((run, v) for run, own in members.items() for v in own)
 
 
 def _about(settings: MergeSettings, new: Mapping[str, str], runs: Collection[str]) -> MergeSettings:

@@ -215,7 +215,7 @@ class Laid:
         -1 from thrice on; less the share that the placement was fitted to."""
         off = self.there[:, :2] - compose(self.correction, self.predicted)[:, :2]
         apart_m = _means(self.cell, np.hypot(*off.T))
-        known = (min(len(apart_m), MOST_PARTS) - 1) / max(len(apart_m), 1)
+        known = (min(len(apart_m), MOST_PARTS) - 1) / len(apart_m)
         return known * (1.0 - np.clip(apart_m / CONSISTENT_M - 1.0, 0.0, 2.0))
 
     @property
@@ -476,6 +476,7 @@ def repeats(a: Picture) -> Repeats:
         turned = abs(T[2]) >= MATCH.turn_rad
         if turned or np.hypot(T[0], T[1]) >= MATCH.place_m:
             moved.append(some.parts_of(away >= (CELL_M if turned else 0.0)))
+            # As placements of two maps are judged: laid where the first registration put them.
             again = laid(a, a, compose(T, a.pose), MOST)
             consistent_parts = max(consistent_parts, again.consistent_parts)
     moved = [part for part in moved if len(part)]
