@@ -333,18 +333,20 @@ def _with_views(
         fresh += [] if known else [T]
     if not fresh and not chosen:
         return found
-    cases = [(found[k], told[k], laid(one, two, told[k], MOST)) for k in sorted(chosen)]
-    for T in fresh:
-        here = laid(one, two, compose(T, two.pose), MOST)
-        better = here.better(T)
-        here = laid(one, two, compose(better, two.pose), MOST)
-        proposed = _placed(a, b, here.better(better), settings)
+    rows = sorted(chosen)
+    every = laid(one, two, [told[k] for k in rows], MOST)
+    cases = [(found[k], told[k], here) for k, here in zip(rows, every, strict=True)]
+    for _ in range(2):
+        every = laid(one, two, [compose(T, two.pose) for T in fresh], MOST)
+        fresh = [here.better(T) for T, here in zip(fresh, every, strict=True)]
+    for T, here in zip(fresh, every, strict=True):
+        proposed = _placed(a, b, T, settings)
         if proposed is not None:
             cases.append((proposed, compose(proposed.transform, two.pose), here))
     placed = [(compose(T, two.pose), some) for T, some in asked]
     placed += [(compose(c.transform, two.pose), here) for c, _, here in cases]
-    same = np.concatenate([revisits(one), revisits(two)])
-    selves = repeats(one), repeats(two)
+    same = np.concatenate([revisits(a.views), revisits(b.views)])
+    selves = repeats(a.views), repeats(b.views)
     out = [c for k, c in enumerate(found) if k not in chosen]
     for c, pose, here in cases:
         elsewhere = [other for there, other in placed if not _same_poses(pose, there)]

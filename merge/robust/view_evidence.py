@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from itertools import pairwise
 
 import numpy as np
 
@@ -21,7 +22,7 @@ from ...topology.se2 import apply, between, compose, fit_rigid, rigid_from_sums
 from ...topology.views import Views
 from ..wording import AGREES_BITS
 from .settings import MATCH
-from .view_search import KEPT, Picture, placements
+from .view_search import Picture, pictured, placements
 
 NEAR_M = 2.5
 """Views as near to each other as this are laid over each other: they share most of what they show.
@@ -43,6 +44,8 @@ PASSES_M = 20.0
 """Way between two passes that do not share scans."""
 AT_HAND_M = 1.5
 """Passes of one run by one place lie within as much."""
+MOST_KEPT = 256
+"""Maps of which a process remembers how they repeat themselves: as many as it has at hand."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -163,6 +166,16 @@ class Laid:
     def __len__(self) -> int:
         return len(self.first)
 
+    def some(self, rows: slice) -> Laid:
+        """These pairs of views."""
+        return Laid(
+            self.first[rows],
+            self.second[rows],
+            self.predicted[rows],
+            self.there[rows],
+            self.found.some(rows),
+        )
+
     @cached_property
     def cell(self) -> IntArray:
         """(k,) the part of the overlap that each pair of views is in."""
@@ -231,23 +244,33 @@ def _means(cell: IntArray, values: FloatArray) -> FloatArray:
 
 
 def laid(
-    a: Picture, b: Picture, predicted: FloatArray, most: int, slack_m: float = SLACK_M
-) -> Laid:
-    """Register up to `most` views of b with the nearest views of a. predicted: (n, 3) poses of all
-    views of b in the frame of a."""
-    gap, closest = a.nearest.query(predicted[:, :2])
-    nearest = np.asarray(closest, np.int64)
-    near = np.flatnonzero(gap < NEAR_M)
-    few = np.linspace(0, len(near) - 1, min(len(near), most))
-    second = near[np.unique(np.rint(few).astype(np.int64))]
-    first = nearest[second]
-    relative = between(a.pose[first], predicted[second])
+    a: Picture, b: Picture, placed: Sequence[FloatArray], most: int, slack_m: float = SLACK_M
+) -> list[Laid]:
+    """Of each placement up to `most` views of b registered with the nearest views of a. placed: of
+    each (n, 3) poses of all views of b in the frame of a."""
+    if not len(placed):
+        return []
+    rows = [_near(a, poses, most) for poses in placed]
+    first, second = (np.concatenate(column) for column in zip(*rows, strict=True))
+    predicted = np.concatenate([poses[near] for poses, (_, near) in zip(placed, rows, strict=True)])
+    relative = between(a.pose[first], predicted)
     turns = relative[:, 2, None] + TURNS
     found = register(
         a.index, b.index, first, second, turns, reach_m=slack_m, centre=relative[:, :2]
     )
     there = compose(a.pose[first], found.transform)
-    return Laid(first, second, predicted[second], there, found)
+    every = Laid(first, second, predicted, there, found)
+    ends = np.cumsum([len(near) for _, near in rows]).tolist()
+    return [every.some(slice(begin, end)) for begin, end in pairwise([0, *ends])]
+
+
+def _near(a: Picture, poses: FloatArray, most: int) -> tuple[IntArray, IntArray]:
+    """Up to `most` views of a, and those of b that lie nearest to them, at poses (n, 3)."""
+    gap, closest = a.nearest.query(poses[:, :2])
+    near = np.flatnonzero(gap < NEAR_M)
+    few = np.linspace(0, len(near) - 1, min(len(near), most))
+    second = near[np.unique(np.rint(few).astype(np.int64))]
+    return np.asarray(closest, np.int64)[second], second
 
 
 def refined(
@@ -255,12 +278,9 @@ def refined(
 ) -> list[tuple[FloatArray, Laid]]:
     """Proposed placements (p, 3) corrected by up to `most` of the views that they lay over each
     other, those that agree best first."""
-    out = []
-    for T in proposed:
-        some = laid(a, b, compose(T, b.pose), most, 2 * SLACK_M)
-        out.append((some.better(T), some))
-    order = sorted(range(len(out)), key=lambda k: -_agreement(out[k][1]))
-    return [out[k] for k in order]
+    every = laid(a, b, [compose(T, b.pose) for T in proposed], most, 2 * SLACK_M)
+    out = [(some.better(T), some) for T, some in zip(proposed, every, strict=True)]
+    return sorted(out, key=lambda case: -_agreement(case[1]))
 
 
 def _agreement(some: Laid) -> float:
@@ -466,19 +486,21 @@ class Repeats:
     consistent_parts: float
 
 
-@lru_cache(maxsize=KEPT)
-def repeats(a: Picture) -> Repeats:
+@lru_cache(maxsize=MOST_KEPT)
+def repeats(views: Views) -> Repeats:
     """The placements of a map on other parts of itself, that views propose. A room that looks the
     same turned is no other part: what a placement turns on its spot does not count."""
+    a = pictured(views)
     moved, consistent_parts = [], 0.0
-    for T, some in refined(a, a, placements(a, a), MOST):
+    asked = refined(a, a, placements(a, a), MOST)
+    # As placements of two maps are judged: laid where the first registration put them.
+    again = laid(a, a, [compose(T, a.pose) for T, _ in asked], MOST)
+    for (T, some), judged_at in zip(asked, again, strict=True):
         away = np.abs(a.place[some.first] - a.place[some.second])
         turned = abs(T[2]) >= MATCH.turn_rad
         if turned or np.hypot(T[0], T[1]) >= MATCH.place_m:
             moved.append(some.parts_of(away >= (CELL_M if turned else 0.0)))
-            # As placements of two maps are judged: laid where the first registration put them.
-            again = laid(a, a, compose(T, a.pose), MOST)
-            consistent_parts = max(consistent_parts, again.consistent_parts)
+            consistent_parts = max(consistent_parts, judged_at.consistent_parts)
     moved = [part for part in moved if len(part)]
     level = np.array([part.mean() for part in moved if len(part) >= MATCH.fewest])
     return Repeats(level, max(map(_size, moved), default=0.0), consistent_parts)
@@ -494,9 +516,10 @@ PARALLEL_Z = 2.0
 """Mean z of places along the same corridor that are laid over each other."""
 
 
-@lru_cache(maxsize=KEPT)
-def revisits(a: Picture) -> FloatArray:
+@lru_cache(maxsize=MOST_KEPT)
+def revisits(views: Views) -> FloatArray:
     """z of views of a map with others of the same place, of another pass."""
+    a = pictured(views)
     way = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(a.place)))])
     near = a.nearest.query_pairs(AT_HAND_M, output_type="ndarray")
     near = np.sort(near[np.abs(np.diff(way[near], axis=1)[:, 0]) > PASSES_M], axis=1)

@@ -48,23 +48,27 @@ SAME_M, SAME_PER_M, SAME_RAD = 3 * PIXEL_M, 0.05, 0.2
 """Stretches that are placed alike within so much, and per metre between them, support each other:
 3° of drift."""
 
-KEPT = 18
-"""Prepared pictures that are kept: a tile of tasks has 16 maps a side, with each of which one map
-is matched in turn; with one fewer, the next map would push out the first of them just before it is
-needed, and so on. Of 70 views each 10 MB."""
+KEPT = 34
+"""Prepared pictures that are kept: a tile of tasks has 16 maps a side, and the next tile shares one
+of the sides. Of 70 views each 10 MB."""
 
 
 @dataclass(frozen=True, eq=False)
 class Picture:
     """The views of a map, as points in its frame.
 
-    pose: (n, 3); walls, free: of each view, x + iy [m].
+    walls, free: of each view, x + iy [m].
     """
 
+    views: Views
     index: ViewIndex
-    pose: FloatArray
     walls: tuple[ComplexArray, ...]
     free: tuple[ComplexArray, ...]
+
+    @property
+    def pose(self) -> FloatArray:
+        """(n, 3) poses of the views."""
+        return self.views.pose
 
     @cached_property
     def place(self) -> ComplexArray:
@@ -88,7 +92,7 @@ class Picture:
         return np.asarray(sum((part.directions for part in self.stretches), np.zeros(ANGLES)))
 
     @cached_property
-    def whole(self) -> Pixels | None:
+    def whole(self) -> Whole | None:
         """All of it, turned so that its walls lie along the axes; None if it is too large."""
         walls, free = np.concatenate(self.walls), np.concatenate(self.free)
         turn = -float(np.argmax(self.directions)) * np.pi / 2 / ANGLES
@@ -103,7 +107,12 @@ class Picture:
         if size > MOST_PIXELS:
             return None
         size = int(fft.next_fast_len(size, real=True))
-        return Pixels.of(walls, free, turn, middle, size)
+        drawn = _drawn(walls, free, turn, middle, size)
+        spectra = tuple(
+            (fft.rfft2(np.rot90(drawn[0], quarter)), fft.rfft2(np.rot90(drawn[1], quarter)))
+            for quarter in range(4)
+        )
+        return Whole(turn, middle, size, spectra)
 
     @cached_property
     def stretches(self) -> tuple[Stretch, ...]:
@@ -137,6 +146,11 @@ class Stretch:
     middle: complex
     directions: FloatArray
 
+    @property
+    def reach_m(self) -> float:
+        """The distance of the farthest from the middle [m]."""
+        return max(float(np.abs(z - self.middle).max(initial=0)) for z in (self.walls, self.free))
+
 
 @lru_cache(maxsize=KEPT)
 def pictured(views: Views) -> Picture:
@@ -150,7 +164,7 @@ def pictured(views: Views) -> Picture:
         y, x = np.nonzero(cells[::2, ::2] == FREE)  # every second one, a pixel apart
         off = (2 * x + 0.5) * CELL_M - REACH_M + 1j * ((2 * y + 0.5) * CELL_M - REACH_M)
         free.append(place[k] + unit[k] * off)
-    return Picture(index, views.pose, tuple(walls), tuple(free))
+    return Picture(views, index, tuple(walls), tuple(free))
 
 
 def directions(walls: ComplexArray) -> FloatArray:
@@ -174,44 +188,33 @@ def directions(walls: ComplexArray) -> FloatArray:
     return np.maximum(out / np.median(out) - 1.0, 0.0)
 
 
-@dataclass(frozen=True, eq=False)
-class Pixels:
-    """Pictures of size × size pixels, turned by `turn` [rad] about `middle`: of the walls, and of
-    how well a wall of another map fits."""
+Spectra = tuple[NDArray[np.complex64], NDArray[np.complex64]]
+"""Fourier transforms of a picture of the walls, and of how well a wall of another map fits."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Whole:
+    """A map drawn on size × size pixels, turned by `turn` [rad] about `middle`, and from there by 0
+    to 3 quarter turns, clockwise in the map's frame."""
 
     turn: float
     middle: complex
-    walls: NDArray[np.float32]
-    fit: NDArray[np.float32]
-
-    @classmethod
-    def of(
-        cls, walls: ComplexArray, free: ComplexArray, turn: float, middle: complex, size: int
-    ) -> Pixels:
-        """Draw walls and free space, x + iy [m]."""
-        wall, clear = (_drawn(z, turn, middle, size) for z in (walls, free))
-        near = np.minimum(2.5 * ndimage.gaussian_filter(wall, 0.7), 1.0)
-        against = clear * (ndimage.maximum_filter(wall, 3) == 0)
-        fit = np.maximum(wall, near) - np.float32(CONTRADICTS) * against
-        return cls(turn, middle, wall, fit)
-
-    def turned(self, quarter: int) -> Pixels:
-        """Turned by quarter turns."""
-        both = (np.rot90(picture, -quarter) for picture in (self.walls, self.fit))
-        return Pixels(self.turn + quarter * np.pi / 2, self.middle, *both)
-
-    @property
-    def size(self) -> int:
-        """Pixels along a side."""
-        return len(self.walls)
-
-    @cached_property
-    def transforms(self) -> tuple[NDArray[np.complex64], NDArray[np.complex64]]:
-        """Fourier transforms of the walls and of the fit."""
-        return fft.rfft2(self.walls), fft.rfft2(self.fit)
+    size: int
+    quarters: tuple[Spectra, ...]
 
 
-def _drawn(z: ComplexArray, turn: float, middle: complex, size: int) -> NDArray[np.float32]:
+def _drawn(
+    walls: ComplexArray, free: ComplexArray, turn: float, middle: complex, size: int
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """(size, size) pictures of walls and free space, x + iy [m], turned [rad] about a middle: the
+    walls, and how well a wall of another map fits."""
+    wall, clear = (_marked(z, turn, middle, size) for z in (walls, free))
+    near = np.minimum(2.5 * ndimage.gaussian_filter(wall, 0.7), 1.0)
+    against = clear * (ndimage.maximum_filter(wall, 3) == 0)
+    return wall, np.maximum(wall, near) - np.float32(CONTRADICTS) * against
+
+
+def _marked(z: ComplexArray, turn: float, middle: complex, size: int) -> NDArray[np.float32]:
     out = np.zeros((size, size), np.float32)
     at = (z - middle) * np.exp(1j * turn) / PIXEL_M + (0.5 + 0.5j) * size
     x, y = np.floor(at.real).astype(np.int64), np.floor(at.imag).astype(np.int64)
@@ -227,18 +230,22 @@ def placements(a: Picture, b: Picture) -> FloatArray:
     if not parts or a.whole is None:
         return np.zeros((0, 3))
     whole = a.whole
-    whole_walls, whole_fit = whole.transforms
     turns, shifts, middles, scores = [], [], [], []
     for part, along in ((one, along) for one in parts for along in _turns(a, b, one)):
-        upright = Pixels.of(part.walls, part.free, along + whole.turn, part.middle, whole.size)
-        count = int(upright.walls.sum())
-        for quarter in range(4):
+        # Drawn on a square as small as the stretch, with a rim for the filters, as if cut from the
+        # middle of one as large as the whole.
+        side = min(2 * int(part.reach_m / PIXEL_M) + 10 + whole.size % 2, whole.size)
+        rim = (whole.size - side) // 2
+        drawn = _drawn(part.walls, part.free, along + whole.turn, part.middle, side)
+        count = int(drawn[0].sum())
+        walls, fit = (np.conj(fft.rfft2(picture, (whole.size,) * 2)) for picture in drawn)
+        for quarter, (whole_walls, whole_fit) in enumerate(whole.quarters):
             turn = along + quarter * np.pi / 2
-            walls, fit = upright.turned(quarter).transforms
-            product = whole_fit * np.conj(walls) + whole_walls * np.conj(fit)
-            score = fft.irfft2(product, (whole.size, whole.size), overwrite_x=True)
+            product = whole_fit * walls + whole_walls * fit
+            score = fft.irfft2(product, (whole.size,) * 2, overwrite_x=True)
             for y, x, most in _peaks(score):
-                shift = (_signed(x, whole.size) + 1j * _signed(y, whole.size)) * PIXEL_M
+                pixels = _signed(x - rim, whole.size) + 1j * _signed(y - rim, whole.size)
+                shift = 1j**quarter * pixels * PIXEL_M
                 here = whole.middle + shift * np.exp(-1j * whole.turn)
                 turns.append(turn)
                 shifts.append(here - np.exp(1j * turn) * part.middle)
@@ -280,23 +287,21 @@ def _peaks(score: NDArray[np.float32]) -> Iterator[tuple[int, int, float]]:
 
 
 def _signed(pixel: int, size: int) -> int:
-    return pixel if pixel < size / 2 else pixel - size
+    return (pixel + size // 2) % size - size // 2
 
 
 def _agreeing(
     turn: FloatArray, shift: ComplexArray, middle: ComplexArray, score: FloatArray
 ) -> FloatArray:
-    """(p, 3) the placements that most stretches support: each counts once, by its best."""
+    """(p, 3) the placements that most stretches support: each counts once, by its best. Those of
+    one stretch, by its middle, follow each other."""
     unit = np.exp(1j * turn)
-    support = np.zeros(len(turn))
-    for k in range(len(turn)):
-        gap = np.abs(unit * middle + shift - (unit[k] * middle + shift[k]))
-        alike = gap < SAME_M + SAME_PER_M * np.abs(middle - middle[k])
-        alike &= np.abs(wrap(turn - turn[k])) < SAME_RAD
-        _, part = np.unique(middle[alike], return_inverse=True)
-        most = np.zeros(int(part.max()) + 1)
-        np.maximum.at(most, part, score[alike])
-        support[k] = most.sum()
+    there = unit[:, None] * middle  # of every placement (row), where it turns every stretch to
+    gap = np.abs(np.diag(there) + shift - there - shift[:, None])
+    alike = gap < SAME_M + SAME_PER_M * np.abs(middle - middle[:, None])
+    alike &= np.abs(wrap(turn - turn[:, None])) < SAME_RAD
+    begins = np.flatnonzero(np.diff(middle, prepend=np.nan))
+    support = np.maximum.reduceat(np.where(alike, score, 0.0), begins, axis=1).sum(axis=1)
     out: list[int] = []
     for k in np.lexsort((shift.imag, shift.real, turn, -support)).tolist():
         here = unit[k] * middle[k] + shift[k]

@@ -57,6 +57,12 @@ class Registered:
     contradict: IntArray
     information: FloatArray
 
+    def some(self, rows: IntArray | slice) -> Registered:
+        """These pairs."""
+        return Registered(
+            self.transform[rows], self.agree[rows], self.contradict[rows], self.information[rows]
+        )
+
     @property
     def z(self) -> FloatArray:
         """(k,) log ratio of agreement to contradiction."""
@@ -102,13 +108,14 @@ class ViewIndex:
         kind = np.zeros((n, fine, fine), np.uint8)
         coarse = SIDE // 2
         near = np.zeros((n, coarse, coarse), np.float32)
+        across = _normals(views.cells == WALL)
         for k, cells in enumerate(views.cells):
             row, column = np.nonzero(cells == WALL)
             points[k, : len(row)] = _metres(column, CELL_M) + 1j * _metres(row, CELL_M)
             if not len(row):
                 continue
-            normal[k, : len(row)] = _normals(cells == WALL)[row, column]
-            wide = np.kron(cells, np.ones((2, 2), np.uint8))
+            normal[k, : len(row)] = across[k, row, column]
+            wide = cells.repeat(2, axis=0).repeat(2, axis=1)
             away, (y, x) = ndimage.distance_transform_edt(wide != WALL, return_indices=True)
             nearest[k] = y * fine + x
             away *= FINE_M
@@ -120,7 +127,9 @@ class ViewIndex:
             )
             fit = 1.6 * np.exp(-0.5 * (away / 0.26) ** 2) - 0.6
             fit = np.where(clear | (wide == WALL), fit, np.where(away > 0.5, 0, np.maximum(fit, 0)))
-            near[k] = fit.reshape(coarse, 4, coarse, 4).max(axis=(1, 3))
+            near[k] = (
+                fit.reshape(coarse, 4, fine).max(axis=1).reshape(coarse, coarse, 4).max(axis=2)
+            )
         return cls(points, normal, np.arange(most) < count[:, None], nearest, kind, near)
 
     @cached_property
@@ -155,16 +164,15 @@ _PLACES = _places()
 
 
 def _normals(wall: NDArray[np.bool_]) -> ComplexArray:
-    """(s, s) squared direction across the wall at each cell, as a complex number as long as the
-    wall is straight there, 0 to 1: the structure tensor of the walls (Förstner, Gülch 1987)."""
-    soft = ndimage.gaussian_filter(wall.astype(np.float64), 1.0)
-    dy, dx = np.gradient(soft)
+    """(n, s, s) squared direction across the walls of each view at each cell, as a complex number
+    as long as the wall is straight there, 0 to 1: the structure tensor of the walls (Förstner,
+    Gülch 1987)."""
+    soft = ndimage.gaussian_filter(wall.astype(np.float64), (0.0, 1.0, 1.0))
+    dy, dx = np.gradient(soft, axis=(1, 2))
     double = (dx + 1j * dy) ** 2
-    mean = ndimage.gaussian_filter(double.real, 1.5) + 1j * ndimage.gaussian_filter(
-        double.imag, 1.5
-    )
-    total = ndimage.gaussian_filter(np.abs(double), 1.5)
-    return np.asarray(mean / np.maximum(total, 1e-12))
+    parts = (double.real, double.imag, np.abs(double))
+    real, imag, total = (ndimage.gaussian_filter(part, (0.0, 1.5, 1.5)) for part in parts)
+    return np.asarray((real + 1j * imag) / np.maximum(total, 1e-12))
 
 
 def register(
@@ -189,9 +197,7 @@ def register(
     found = _tallied(several, z, angle)
     score = (found.z * np.sqrt(found.agree + found.contradict + 1.0)).reshape(-1, STARTS)
     best = np.arange(len(first)) * STARTS + np.argmax(found.z.reshape(-1, STARTS) + 1e-6 * score, 1)
-    return Registered(
-        found.transform[best], found.agree[best], found.contradict[best], found.information[best]
-    )
+    return found.some(best)
 
 
 def coarse_fit(

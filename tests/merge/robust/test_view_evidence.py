@@ -35,9 +35,9 @@ def test_the_place_itself_is_told_from_other_placements() -> None:
     off = compose(T, T_B_WORLD)
     assert np.hypot(*off[:2]) < 0.4
     assert abs(wrap(off[2])) < 0.03
-    here = laid(a, b, compose(T, b.pose), 24)
+    here = laid(a, b, [compose(T, b.pose)], 24)[0]
     elsewhere = [other for _, other in others]
-    told = judged(here, elsewhere, (repeats(a), repeats(b)), revisits(a))
+    told = judged(here, elsewhere, (repeats(a.views), repeats(b.views)), revisits(a.views))
     assert told.agreeing >= 3
     assert told.total > 10
     assert told.copies > 2
@@ -49,7 +49,7 @@ def test_a_placement_that_is_off_is_corrected() -> None:
     a = pictured(views_of(walls, line((5, 20), (35, 20))))
     b = pictured(views_of(walls, line((5, 20), (35, 20)), T_B_WORLD))
     off = compose(np.array([0.4, -0.3, 0.03]), inverse(T_B_WORLD))
-    better = laid(a, b, compose(off, b.pose), 24).better(off)
+    better = laid(a, b, [compose(off, b.pose)], 24)[0].better(off)
     left = compose(better, T_B_WORLD)
     assert np.hypot(*left[:2]) < 0.25
     assert abs(wrap(left[2])) < 0.01
@@ -61,9 +61,9 @@ def test_where_the_maps_repeat_themselves_the_place_may_be_a_copy() -> None:
     a = pictured(views_of(aisles, line((5, 20), (75, 20))))
     b = pictured(views_of(room, line((8, 21), (33, 21)), T_B_WORLD))
     (T, _), *_ = refined(a, b, placements(a, b))
-    here = laid(a, b, compose(T, b.pose), 24)
-    told = judged(here, [], (repeats(a), repeats(b)), revisits(a))
-    assert repeats(a).size > 5
+    here = laid(a, b, [compose(T, b.pose)], 24)[0]
+    told = judged(here, [], (repeats(a.views), repeats(b.views)), revisits(a.views))
+    assert repeats(a.views).size > 5
     assert told.total > 8
     assert told.repeated > 0.5
 
@@ -72,13 +72,14 @@ def test_parts_that_move_apart_speak_against_a_placement() -> None:
     walls = walls_of(1)
     a = pictured(views_of(walls, line((5, 20), (35, 20))))
     b = pictured(views_of(walls, line((8, 21), (33, 21)), T_B_WORLD))
-    here = laid(a, b, compose(inverse(T_B_WORLD), b.pose), 24)
+    here = laid(a, b, [compose(inverse(T_B_WORLD), b.pose)], 24)[0]
     assert here.consistency.min() > 0.5
     torn = replace(here, there=here.there + np.outer(1.4 * (here.cell % 2), [1.0, 0.0, 0.0]))
     assert torn.consistent_parts < 0 < here.consistent_parts
     elsewhere = [some for _, some in refined(a, b, placements(a, b))[1:]]
     whole, less = (
-        judged(some, elsewhere, (repeats(a), repeats(b)), revisits(a)) for some in (here, torn)
+        judged(some, elsewhere, (repeats(a.views), repeats(b.views)), revisits(a.views))
+        for some in (here, torn)
     )
     assert whole.total > less.total + 2 * (len(whole.bits) - 1)
     assert whole.copies == less.copies
@@ -88,11 +89,11 @@ def test_parts_that_agree_on_one_placement_tell_more_than_they_do_on_a_copy() ->
     walls = walls_of(1, (80.0, 30.0))
     a = pictured(views_of(walls, line((5, 15), (75, 15))))
     b = pictured(views_of(walls, line((8, 16), (73, 16)), T_B_WORLD))
-    here = laid(a, b, compose(inverse(T_B_WORLD), b.pose), 24)
-    own = repeats(a)
+    here = laid(a, b, [compose(inverse(T_B_WORLD), b.pose)], 24)[0]
+    own = repeats(a.views)
     assert here.consistent_parts > CHANCE_PARTS > own.consistent_parts
     copied = replace(own, consistent_parts=here.consistent_parts)
-    alone, copies = (judged(here, [], (own, other), revisits(a)) for other in (own, copied))
+    alone, copies = (judged(here, [], (own, other), revisits(a.views)) for other in (own, copied))
     beyond = here.consistent_parts - CHANCE_PARTS
     assert np.isclose(alone.total - copies.total, PART_BITS * beyond)
 
@@ -101,9 +102,9 @@ def test_walls_that_agree_bound_what_an_unseen_junction_tells() -> None:
     walls = walls_of(1)
     a = pictured(views_of(walls, line((5, 20), (35, 20))))
     b = pictured(views_of(walls, line((8, 21), (33, 21)), T_B_WORLD))
-    here = laid(a, b, compose(inverse(T_B_WORLD), b.pose), 24)
+    here = laid(a, b, [compose(inverse(T_B_WORLD), b.pose)], 24)[0]
     elsewhere = [some for _, some in refined(a, b, placements(a, b))[1:]]
-    told = judged(here, elsewhere, (repeats(a), repeats(b)), revisits(a))
+    told = judged(here, elsewhere, (repeats(a.views), repeats(b.views)), revisits(a.views))
     beside, far = np.full((2, len(told)), 50.0)
     beside[0] = 1.0
     assert np.allclose(told.most_against(np.array([beside, far])), [UNSEEN_BITS, np.inf])
@@ -115,7 +116,7 @@ def test_bare_walls_that_agree_tell_nothing() -> None:
     wall = np.array([[0.0, 18.0, 60.0, 18.0], [0.0, 22.0, 60.0, 22.0]])
     a = pictured(views_of(wall, line((10, 20), (50, 20))))
     b = pictured(views_of(wall, line((20, 20), (40, 20)), T_B_WORLD))
-    here = laid(a, b, compose(inverse(T_B_WORLD), b.pose), 24)
+    here = laid(a, b, [compose(inverse(T_B_WORLD), b.pose)], 24)[0]
     assert here.parts.min() > 4
     assert here.telling_parts.max() == DETAILED_Z[0]
 
@@ -124,8 +125,8 @@ def test_walls_tell_whether_one_placement_fits_all_parts() -> None:
     walls = walls_of(1)
     a, b = (views_of(walls, line((5, 20), (35, 20)), T) for T in (np.zeros(3), T_B_WORLD))
     one, two = pictured(a), pictured(b)
-    here = laid(one, two, compose(inverse(T_B_WORLD), b.pose), 24)
-    told = judged(here, [], (repeats(one), repeats(two)), revisits(one))
+    here = laid(one, two, [compose(inverse(T_B_WORLD), b.pose)], 24)[0]
+    told = judged(here, [], (repeats(one.views), repeats(two.views)), revisits(one.views))
     assert told.off_m(a, b) < 0.1
     smaller = replace(b, pose=b.pose * [0.95, 0.95, 1.0])  # 1.5 m of 30 m
     assert told.off_m(a, smaller) > 0.3

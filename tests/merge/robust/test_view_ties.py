@@ -31,8 +31,8 @@ def seen_by_both():
     a = replace(a, views=views_of(walls, places))
     b = replace(b, views=views_of(walls, places, T_B_WORLD))
     one, two = pictured(a.views), pictured(b.views)
-    here = laid(one, two, compose(inverse(T_B_WORLD), b.views.pose), 24)
-    return a, b, judged(here, [], (repeats(one), repeats(two)), np.zeros(0))
+    here = laid(one, two, [compose(inverse(T_B_WORLD), b.views.pose)], 24)[0]
+    return a, b, judged(here, [], (repeats(a.views), repeats(b.views)), np.zeros(0))
 
 
 def test_ties_say_where_junctions_lie() -> None:
