@@ -156,9 +156,9 @@ class PairVerdict:
 
     @property
     def same_place_bits(self) -> float:
-        """Evidence that its alignment is no copy of the place [bits], inf if that was not asked."""
+        """Evidence that its alignment is no copy of the place [bits]; inf if none is likely."""
         tested = None if self.best is None else self.best.copy_test
-        return np.inf if tested is None else tested.bits
+        return np.inf if tested is None or not tested.repetition else tested.bits
 
     @property
     def standing(self) -> Standing:
