@@ -7,7 +7,8 @@ so that a map that drift bends is found as well.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections import defaultdict
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
@@ -29,8 +30,11 @@ STRETCH_M, STEP_M = 24.0, 12.0
 buildings whose true placement is found at all, none was lost with 16 or 36 m, and more led."""
 MOST_STRETCHES = 16
 """More would cost time and tell little that is new."""
-MOST_PIXELS = 1024
-"""Of larger maps, 400 m across, views propose no placements: a pair would take 3 s and more."""
+MOST_PIXELS = 512
+"""Side of the squares, 205 m, that larger maps are cut into: of runs through tunnels and streets
+most squares are empty."""
+OVERLAP_M = STRETCH_M + 4 * REACH_M
+"""By so much squares overlap: a stretch whose middle lies in one lies in it as a whole."""
 PEAKS = 3
 """Best places of a stretch and a turn that are kept."""
 CONTRADICTS = 4.0
@@ -92,27 +96,52 @@ class Picture:
         return np.asarray(sum((part.directions for part in self.stretches), np.zeros(ANGLES)))
 
     @cached_property
-    def whole(self) -> Whole | None:
-        """All of it, turned so that its walls lie along the axes; None if it is too large."""
-        walls, free = np.concatenate(self.walls), np.concatenate(self.free)
-        turn = -float(np.argmax(self.directions)) * np.pi / 2 / ANGLES
-        seen = np.exp(1j * turn) * walls
-        middle = (
-            0.5
-            * complex(seen.real.max() + seen.real.min(), seen.imag.max() + seen.imag.min())
-            * np.exp(-1j * turn)
+    def turn(self) -> float:
+        """What turns the map so that its walls lie along the axes [rad]."""
+        return -float(np.argmax(self.directions)) * np.pi / 2 / ANGLES
+
+    @cached_property
+    def squares(self) -> list[Square]:
+        """The squares that the map is drawn on: one, or as many as have walls."""
+        walls = np.exp(1j * self.turn) * np.concatenate(self.walls)
+        low = complex(walls.real.min(), walls.imag.min())
+        high = complex(walls.real.max(), walls.imag.max())
+        wide = max((high - low).real, (high - low).imag)
+        size = int((wide + STRETCH_M + 2 * REACH_M) / PIXEL_M) + 4
+        if size <= MOST_PIXELS:
+            size = int(fft.next_fast_len(size, real=True))
+            return [Square((low + high) / 2 * np.exp(-1j * self.turn), size, size)]
+        inner = MOST_PIXELS - int(OVERLAP_M / PIXEL_M)
+        step = inner * PIXEL_M
+        # The middle of a stretch lies up to half of it aside of the walls of this map.
+        around = np.add.outer([-1, 0, 1], np.multiply([-1, 0, 1], 1j)).ravel() * STRETCH_M / 2
+        at = ((walls[:, None] - low + around) / step).ravel()
+        cells = np.unique(np.column_stack([np.floor(at.real), np.floor(at.imag)]), axis=0)
+        middles = low + (cells @ [1, 1j] + 0.5 + 0.5j) * step
+        return [Square(z, MOST_PIXELS, inner) for z in middles * np.exp(-1j * self.turn)]
+
+    @property
+    def tiles(self) -> Iterable[Tile]:
+        """The map drawn on its squares. Of several, which may be too many to keep, each is drawn
+        when it is taken."""
+        return (self._whole,) if len(self.squares) == 1 else map(self._tile, self.squares)
+
+    @cached_property
+    def _whole(self) -> Tile:
+        return self._tile(self.squares[0])
+
+    def _tile(self, square: Square) -> Tile:
+        reach = square.size * PIXEL_M + REACH_M  # more than half of the diagonal
+        rows = np.flatnonzero(np.abs(self.place - square.middle) < reach)
+        walls, free = (
+            np.concatenate([z[k] for k in rows] or [z[0][:0]]) for z in (self.walls, self.free)
         )
-        reach = max(float(np.ptp(seen.real)), float(np.ptp(seen.imag))) / 2
-        size = int(2 * (reach + STRETCH_M / 2 + REACH_M) / PIXEL_M) + 4
-        if size > MOST_PIXELS:
-            return None
-        size = int(fft.next_fast_len(size, real=True))
-        drawn = _drawn(walls, free, turn, middle, size)
+        drawn = _drawn(walls, free, self.turn, square.middle, square.size)
         spectra = tuple(
             (fft.rfft2(np.rot90(drawn[0], quarter)), fft.rfft2(np.rot90(drawn[1], quarter)))
             for quarter in range(4)
         )
-        return Whole(turn, middle, size, spectra)
+        return Tile(square, spectra)
 
     @cached_property
     def stretches(self) -> tuple[Stretch, ...]:
@@ -192,14 +221,22 @@ Spectra = tuple[NDArray[np.complex64], NDArray[np.complex64]]
 """Fourier transforms of a picture of the walls, and of how well a wall of another map fits."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Whole:
-    """A map drawn on size × size pixels, turned by `turn` [rad] about `middle`, and from there by 0
-    to 3 quarter turns, clockwise in the map's frame."""
+@dataclass(frozen=True, slots=True)
+class Square:
+    """A square of size × size pixels around `middle`, x + iy [m]. Stretches are looked for whose
+    middles lie within the `inner` × `inner` pixels around its own."""
 
-    turn: float
     middle: complex
     size: int
+    inner: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tile:
+    """A map drawn on a square, turned by `Picture.turn`, and from there by 0 to 3 quarter turns,
+    clockwise in the map's frame."""
+
+    square: Square
     quarters: tuple[Spectra, ...]
 
 
@@ -227,34 +264,48 @@ def placements(a: Picture, b: Picture) -> FloatArray:
     """(p, 3) T_a_b of the most likely placements of b in a, best first, and different from each
     other."""
     parts = b.stretches if any(map(len, a.walls)) and len(b.pose) else ()
-    if not parts or a.whole is None:
+    cases = [(part, along) for part in parts for along in _turns(a, b, part)]
+    if not cases:
         return np.zeros((0, 3))
-    whole = a.whole
-    turns, shifts, middles, scores = [], [], [], []
-    for part, along in ((one, along) for one in parts for along in _turns(a, b, one)):
-        # Drawn on a square as small as the stretch, with a rim for the filters, as if cut from the
-        # middle of one as large as the whole.
-        side = min(2 * int(part.reach_m / PIXEL_M) + 10 + whole.size % 2, whole.size)
-        rim = (whole.size - side) // 2
-        drawn = _drawn(part.walls, part.free, along + whole.turn, part.middle, side)
-        count = int(drawn[0].sum())
-        walls, fit = (np.conj(fft.rfft2(picture, (whole.size,) * 2)) for picture in drawn)
-        for quarter, (whole_walls, whole_fit) in enumerate(whole.quarters):
-            turn = along + quarter * np.pi / 2
-            product = whole_fit * walls + whole_walls * fit
-            score = fft.irfft2(product, (whole.size,) * 2, overwrite_x=True)
-            for y, x, most in _peaks(score):
-                pixels = _signed(x - rim, whole.size) + 1j * _signed(y - rim, whole.size)
-                shift = 1j**quarter * pixels * PIXEL_M
-                here = whole.middle + shift * np.exp(-1j * whole.turn)
-                turns.append(turn)
-                shifts.append(here - np.exp(1j * turn) * part.middle)
-                middles.append(part.middle)
-                # More walls tell more, but a large stretch is no better placed than others.
-                scores.append(most / (2 * count) * min(count, 400))
-    return _agreeing(
-        np.array(turns), np.array(shifts), np.array(middles), np.maximum(np.array(scores), 0.0)
-    )
+    peaks: dict[tuple[int, int], list[tuple[float, complex]]] = defaultdict(list)
+    for tile in a.tiles:
+        for k, (part, along) in enumerate(cases):
+            for quarter, score, there in _laid_over(tile, part, along + a.turn):
+                shift = there * np.exp(-1j * a.turn)
+                peaks[k, quarter].append((score, tile.square.middle + shift))
+    turns, middles, shifts, scores = [], [], [], []
+    for (k, quarter), found in sorted(peaks.items()):
+        part, along = cases[k]
+        turn = along + quarter * np.pi / 2
+        for score, there in sorted(found, key=lambda peak: -peak[0])[:PEAKS]:
+            turns.append(turn)
+            middles.append(part.middle)
+            shifts.append(there - np.exp(1j * turn) * part.middle)
+            scores.append(max(score, 0.0))
+    return _agreeing(*map(np.array, (turns, shifts, middles, scores)))
+
+
+def _laid_over(tile: Tile, part: Stretch, turn: float) -> Iterator[tuple[int, float, complex]]:
+    """The best places of a stretch, turned, in a tile: by how many quarter turns more, how well its
+    walls fit, and where its middle lies from the tile's, x + iy [m]."""
+    square = tile.square
+    whole = (square.size, square.size)
+    # Drawn on a square as small as the stretch, with a rim for the filters, as if cut from the
+    # middle of one as large as the tile.
+    side = min(2 * int(part.reach_m / PIXEL_M) + 10 + square.size % 2, square.size)
+    rim = (square.size - side) // 2
+    drawn = _drawn(part.walls, part.free, turn, part.middle, side)
+    count = int(drawn[0].sum())
+    walls, fit = (np.conj(fft.rfft2(picture, whole)) for picture in drawn)
+    pixel = _signed(np.arange(square.size) - rim, square.size)
+    outside = np.abs(pixel) > square.inner // 2
+    for quarter, (tile_walls, tile_fit) in enumerate(tile.quarters):
+        score = fft.irfft2(tile_fit * walls + tile_walls * fit, whole, overwrite_x=True)
+        score[outside] = score[:, outside] = -np.inf
+        for y, x, most in _peaks(score):
+            # More walls tell more, but a large stretch is no better placed than others.
+            fits = most / (2 * count) * min(count, 400)
+            yield quarter, fits, 1j**quarter * complex(pixel[x], pixel[y]) * PIXEL_M
 
 
 def _turns(a: Picture, b: Picture, part: Stretch) -> list[float]:
@@ -286,7 +337,7 @@ def _peaks(score: NDArray[np.float32]) -> Iterator[tuple[int, int, float]]:
         score[np.ix_((y + around) % size, (x + around) % size)] = -np.inf
 
 
-def _signed(pixel: int, size: int) -> int:
+def _signed(pixel: IntArray, size: int) -> IntArray:
     return (pixel + size // 2) % size - size // 2
 
 

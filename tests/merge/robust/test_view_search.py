@@ -4,8 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from topobatch.merge.robust.view_evidence import repeats
 from topobatch.merge.robust.view_search import ANGLES, _turns, pictured, placements
-from topobatch.topology.se2 import apply, wrap
+from topobatch.topology.se2 import apply, compose, wrap
 
 from .rooms import line, views_of, walls_of
 
@@ -44,3 +45,18 @@ def test_a_map_of_hardly_a_wall_is_searched_without_stretches() -> None:
     assert not bare.stretches
     assert not bare.local_directions.any()
     assert placements(bare, b).shape[1] == 3
+
+
+def test_a_map_larger_than_a_square_is_searched_in_several() -> None:
+    near, far = walls_of(1, (60.0, 30.0)), walls_of(2, (60.0, 30.0))
+    copies = [near + np.array([x, y] * 2) for x, y in ((0.0, 0.0), (500.0, 70.0))]
+    world = np.concatenate([*copies, far + np.array([250.0, 400.0] * 2)])
+    starts = ((5.0, 15.0), (505.0, 85.0), (255.0, 415.0))
+    way = np.concatenate([line((x, y), (x + 50, y), 25) for x, y in starts])
+    large = views_of(world, way)
+    assert len(pictured(large).squares) > 1
+    other = views_of(far, line((8, 16), (48, 16), 20), T_B_WORLD)
+    first, *_ = placements(pictured(large), pictured(other))
+    off = compose(np.array([-250.0, -400.0, 0.0]), compose(first, T_B_WORLD))
+    assert np.hypot(*off[:2]) < 0.5
+    assert repeats(large).size > 5
