@@ -4,17 +4,24 @@ Matching begins with links: corridors of two maps of equal length, curvature and
 ends. A correct alignment has many consistent ones. The index finds them for one map in all others
 at once, a hundred times faster than matching the maps. Its recall on pairs that would be merged is
 measured by `benchmarks/fleet.py --recall`.
+
+Maps with views may agree in their walls alone: such a map is matched with those whose views look
+most alike, by a descriptor of each view that does not depend on its rotation.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from ...topology.arrays import FloatArray, IntArray
 from ...topology.se2 import wrap
+from ...topology.views import CELL_M, DISC, FREE, REACH_M, SIDE, WALL, Views
 from ..result import MOST_PAIRS, pairs_of
 from .branch_patterns import LENGTH_SCALE
 from .links import link_components, windows
@@ -32,12 +39,70 @@ copies, .06 bits."""
 
 
 def pairs_to_match(maps: Sequence[Prepared], settings: RobustSettings) -> IntArray:
-    """(k, 2) pairs i < j, sorted: all of a small batch, of a large one those that the index
-    selects."""
+    """(k, 2) pairs i < j, sorted: all of a small batch, of a large one those that the index or the
+    descriptors of views select."""
     count = pairs_of(len(maps))
     if count <= MOST_PAIRS:
         return np.stack(np.triu_indices(len(maps), 1), axis=1)
-    return likely_pairs(maps, SHARE * needed_bits(count, settings))
+    likely = likely_pairs(maps, SHARE * needed_bits(count, settings))
+    return np.unique(np.concatenate([likely, similar_pairs([m.views for m in maps])]), axis=0)
+
+
+PARTNERS = 100
+"""Maps with views are matched with so many whose views look most alike, from either side. Of 171
+pairs of one place in a batch of 109 maps all rank among the first 26 of one of the two, 95 % among
+the first 16."""
+RINGS, SECTORS, HARMONICS = 10, 48, (8, 4)
+"""Bins of a descriptor's polar histograms, and harmonics of walls and free space that it keeps.
+Twice as many rings or harmonics rank no better."""
+MOST_ALIKE = 12
+"""Views of a map whose similarity to another map counts: the two share part of their places."""
+
+
+def similar_pairs(views: Sequence[Views]) -> IntArray:
+    """(k, 2) pairs i < j of maps with views, sorted, whose views look alike.
+
+    The similarity of a view to a map is that to the most similar of its views, in standard
+    deviations over all maps. O(views²), 2 ms of a core for each map and 1,000 others.
+    """
+    rows = np.flatnonzero([len(v) > 0 for v in views])
+    if len(rows) <= PARTNERS + 1:
+        return rows[np.stack(np.triu_indices(len(rows), 1), axis=1)]
+    seen = [v for v in views if len(v)]
+    every = np.concatenate([descriptors(v) for v in seen])
+    every = (every - every.mean(axis=0)) / (every.std(axis=0) + 1e-6)
+    every /= np.linalg.norm(every, axis=1, keepdims=True)
+    starts = np.cumsum([0, *map(len, seen)])
+    score = np.zeros((len(seen), len(seen)))
+    for k, (start, stop) in enumerate(pairwise(starts)):
+        alike = np.maximum.reduceat(every[start:stop] @ every.T, starts[:-1], axis=1)
+        others = np.delete(alike, k, axis=1)
+        alike = (alike - others.mean(axis=1)[:, None]) / (others.std(axis=1)[:, None] + 1e-6)
+        score[k] = np.sort(alike, axis=0)[-MOST_ALIKE:].sum(axis=0)
+    score += score.T
+    np.fill_diagonal(score, -np.inf)
+    best = np.argsort(-score, axis=1, kind="stable")[:, :PARTNERS]
+    pairs = np.column_stack([np.arange(len(seen)).repeat(PARTNERS), best.ravel()])
+    return np.unique(np.sort(rows[pairs], axis=1), axis=0)
+
+
+def descriptors(views: Views) -> NDArray[np.float32]:
+    """(n, d) descriptors of views that do not depend on their rotation: magnitudes of the Fourier
+    transforms of walls and free space on rings around the place."""
+    along = (np.arange(SIDE) + 0.5) * CELL_M - REACH_M
+    ring = np.floor(np.hypot(along[:, None], along) / REACH_M * RINGS)
+    sector = np.floor((np.arctan2(along[:, None], along) / (2 * np.pi) % 1) * SECTORS)
+    cell, bin_of = np.flatnonzero(DISC), (ring * SECTORS + sector)[DISC].astype(np.int64)
+    shape = (SIDE * SIDE, RINGS * SECTORS)
+    members = csr_array((np.ones(len(cell), np.float32), (cell, bin_of)), shape)
+    scale = np.sqrt(np.bincount(bin_of, minlength=shape[1]).clip(1))
+    out = []
+    for state, harmonics in zip((WALL, FREE), HARMONICS, strict=True):
+        marked = (views.cells.reshape(len(views), -1) == state).astype(np.float32)
+        polar = (marked @ members / scale).reshape(-1, RINGS, SECTORS)
+        waves = np.abs(np.fft.rfft(polar, axis=2)[:, :, :harmonics])
+        out.append(np.sqrt(waves).reshape(len(views), -1))
+    return np.concatenate(out, axis=1).astype(np.float32)
 
 
 def likely_pairs(maps: Sequence[Prepared], least: float) -> IntArray:
