@@ -6,6 +6,9 @@ Each workspace holds the maps of one building, with their views. Maps of differe
 matched by views alone; of every pair the placement with the most evidence against chance counts.
 Evidence of b bits should be reached by no more than a share of 2^-b. Offices and rows of one
 generator are copies of each other: they are to be given as one building.
+
+Large batches are screened by descriptors of views: of the pairs of one building it prints how many
+are among the maps that look most alike to one of the two, by their number.
 """
 
 from __future__ import annotations
@@ -17,12 +20,15 @@ from pathlib import Path
 
 import numpy as np
 
+from topobatch.merge.robust.screening import similarity
 from topobatch.merge.robust.view_evidence import MOST, judged, laid, refined, repeats, revisits
 from topobatch.merge.robust.view_search import Picture, pictured, placements
+from topobatch.topology.arrays import IntArray
 from topobatch.topology.document import read_map
 from topobatch.topology.se2 import compose
 
 BITS = (0, 1, 2, 3, 4, 6, 8, 10)
+PARTNERS = (5, 10, 20, 50, 100)
 
 
 def pictures(workspace: Path) -> list[Picture]:
@@ -34,12 +40,11 @@ def pictures(workspace: Path) -> list[Picture]:
 def most(a: Picture, b: Picture) -> float:
     """The most evidence against chance of all placements that views propose [bits]."""
     some = [T for T, _ in refined(a, b, placements(a, b))]
-    found = [laid(a, b, compose(T, b.pose), MOST) for T in some]
-    same = np.concatenate([revisits(a), revisits(b)])
+    found = laid(a, b, [compose(T, b.pose) for T in some], MOST)
+    same = np.concatenate([revisits(a.views), revisits(b.views)])
+    selves = repeats(a.views), repeats(b.views)
     said = [
-        judged(
-            here, [other for other in found if other is not here], (repeats(a), repeats(b)), same
-        )
+        judged(here, [other for other in found if other is not here], selves, same)
         for here in found
     ]
     return max((told.total for told in said), default=-np.inf)
@@ -53,6 +58,16 @@ def across(buildings: list[list[Picture]]) -> Iterator[float]:
                 yield most(a, b)
 
 
+def ranks(buildings: list[list[Picture]]) -> IntArray:
+    """Of every pair of maps of one building: the rank of one among all maps by how much they look
+    like the other, the lower of both."""
+    score = similarity([a.views for building in buildings for a in building])
+    rank = np.argsort(np.argsort(-score, axis=1), axis=1) + 1
+    of = np.arange(len(buildings)).repeat([len(building) for building in buildings])
+    i, j = np.nonzero(np.triu(of[:, None] == of, 1))
+    return np.minimum(rank[i, j], rank[j, i])
+
+
 def main() -> None:
     """Print the shares of pairs."""
     command = argparse.ArgumentParser(
@@ -60,6 +75,9 @@ def main() -> None:
     )
     command.add_argument("workspaces", type=Path, nargs="+")
     buildings = [pictures(workspace) for workspace in command.parse_args().workspaces]
+    rank = ranks(buildings)
+    shares = ", ".join(f"{most}: {np.sum(rank <= most)}" for most in PARTNERS)
+    print(f"{len(rank)} pairs of one building, among the most similar {shares}")
     found = np.array(list(across(buildings)))
     print(f"{len(found)} pairs; the most is {found.max(initial=-np.inf):.1f} bits")
     for bits in BITS:

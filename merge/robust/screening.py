@@ -60,20 +60,27 @@ MOST_ALIKE = 12
 
 
 def similar_pairs(views: Sequence[Views]) -> IntArray:
-    """(k, 2) pairs i < j of maps with views, sorted, whose views look alike.
+    """(k, 2) pairs i < j of maps with views, sorted: each map with its `PARTNERS`."""
+    rows = np.flatnonzero([len(v) > 0 for v in views])
+    if len(rows) <= PARTNERS + 1:
+        return rows[np.stack(np.triu_indices(len(rows), 1), axis=1)]
+    score = similarity([v for v in views if len(v)])
+    best = np.argsort(-score, axis=1, kind="stable")[:, :PARTNERS]
+    pairs = np.column_stack([np.arange(len(rows)).repeat(PARTNERS), best.ravel()])
+    return np.unique(np.sort(rows[pairs], axis=1), axis=0)
+
+
+def similarity(views: Sequence[Views]) -> FloatArray:
+    """(n, n) how much the views of two maps look alike, both ways; -inf of a map with itself.
 
     The similarity of a view to a map is that to the most similar of its views, in standard
     deviations over all maps. O(views²), 2 ms of a core for each map and 1,000 others.
     """
-    rows = np.flatnonzero([len(v) > 0 for v in views])
-    if len(rows) <= PARTNERS + 1:
-        return rows[np.stack(np.triu_indices(len(rows), 1), axis=1)]
-    seen = [v for v in views if len(v)]
-    every = np.concatenate([descriptors(v) for v in seen])
+    every = np.concatenate([descriptors(v) for v in views])
     every = (every - every.mean(axis=0)) / (every.std(axis=0) + 1e-6)
     every /= np.linalg.norm(every, axis=1, keepdims=True)
-    starts = np.cumsum([0, *map(len, seen)])
-    score = np.zeros((len(seen), len(seen)))
+    starts = np.cumsum([0, *map(len, views)])
+    score = np.zeros((len(views), len(views)))
     for k, (start, stop) in enumerate(pairwise(starts)):
         alike = np.maximum.reduceat(every[start:stop] @ every.T, starts[:-1], axis=1)
         others = np.delete(alike, k, axis=1)
@@ -81,9 +88,7 @@ def similar_pairs(views: Sequence[Views]) -> IntArray:
         score[k] = np.sort(alike, axis=0)[-MOST_ALIKE:].sum(axis=0)
     score += score.T
     np.fill_diagonal(score, -np.inf)
-    best = np.argsort(-score, axis=1, kind="stable")[:, :PARTNERS]
-    pairs = np.column_stack([np.arange(len(seen)).repeat(PARTNERS), best.ravel()])
-    return np.unique(np.sort(rows[pairs], axis=1), axis=0)
+    return score
 
 
 def descriptors(views: Views) -> NDArray[np.float32]:
