@@ -22,7 +22,7 @@ from ...topology.se2 import apply, between, compose, fit_rigid, rigid_from_sums
 from ...topology.views import Views
 from ..wording import AGREES_BITS
 from .settings import MATCH
-from .view_search import Picture, pictured, placements
+from .view_search import KEPT, Picture, pictured, placements
 
 NEAR_M = 2.5
 """Views as near to each other as this are laid over each other: they share most of what they show.
@@ -44,8 +44,6 @@ PASSES_M = 20.0
 """Way between two passes that do not share scans."""
 AT_HAND_M = 1.5
 """Passes of one run by one place lie within as much."""
-MOST_KEPT = 256
-"""Maps of which a process remembers how they repeat themselves: as many as it has at hand."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -486,7 +484,7 @@ class Repeats:
     consistent_parts: float
 
 
-@lru_cache(maxsize=MOST_KEPT)
+@lru_cache(maxsize=KEPT)
 def repeats(views: Views) -> Repeats:
     """The placements of a map on other parts of itself, that views propose. A room that looks the
     same turned is no other part: what a placement turns on its spot does not count."""
@@ -516,7 +514,7 @@ PARALLEL_Z = 2.0
 """Mean z of places along the same corridor that are laid over each other."""
 
 
-@lru_cache(maxsize=MOST_KEPT)
+@lru_cache(maxsize=KEPT)
 def revisits(views: Views) -> FloatArray:
     """z of views of a map with others of the same place, of another pass."""
     a = pictured(views)

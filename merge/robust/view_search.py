@@ -7,10 +7,10 @@ so that a map that drift bends is found as well.
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import OrderedDict, defaultdict
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,9 +52,11 @@ SAME_M, SAME_PER_M, SAME_RAD = 3 * PIXEL_M, 0.05, 0.2
 """Stretches that are placed alike within so much, and per metre between them, support each other:
 3° of drift."""
 
-KEPT = 34
-"""Prepared pictures that are kept: a tile of tasks has 16 maps a side, and the next tile shares one
-of the sides. Of 70 views each 10 MB."""
+KEPT = 256
+"""Maps of which a process remembers what else it has worked out: as many as it has at hand."""
+KEPT_VIEWS = 4000
+"""Views of pictures that are kept, 130 kB each: a tile of tasks has 16 maps a side of some 100
+views, and the next tile shares one of the sides."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,9 +183,19 @@ class Stretch:
         return max(float(np.abs(z - self.middle).max(initial=0)) for z in (self.walls, self.free))
 
 
-@lru_cache(maxsize=KEPT)
+_pictures: OrderedDict[Views, Picture] = OrderedDict()
+
+
 def pictured(views: Views) -> Picture:
-    """The picture of a map's views."""
+    """The picture of a map's views; those used last are kept (`KEPT_VIEWS`, but two at least)."""
+    picture = _pictures.pop(views) if views in _pictures else _pictured(views)
+    _pictures[views] = picture
+    while len(_pictures) > 2 and sum(map(len, _pictures)) > KEPT_VIEWS:
+        _pictures.popitem(last=False)
+    return picture
+
+
+def _pictured(views: Views) -> Picture:
     index = ViewIndex.of(views)
     place = views.pose[:, 0] + 1j * views.pose[:, 1]
     unit = np.exp(1j * views.pose[:, 2])
