@@ -13,16 +13,9 @@ from ..merge.changes import changes as changes_of
 from ..merge.result import Component, MergeResult
 from ..topology.wording import counted
 from .draw import picture_form, quiet_fonts, walled
-from .options import (
-    DEFAULT_WORKSPACE,
-    ComponentOption,
-    JsonOption,
-    MergeOption,
-    WorkspaceOption,
-    verb,
-)
+from .options import ComponentOption, HereWithMerge, JsonOption, verb
 from .output import say, say_folded, say_json, write_files
-from .workspace import MERGED, Workspace
+from .workspace import Workspace
 
 if TYPE_CHECKING:  # which loads matplotlib
     from ..viz.canvas import Canvas
@@ -45,9 +38,9 @@ def changes(
         Path | None,
         typer.Option("--output", "-o", metavar="FILE", help="Also draw them there (.svg, .png)."),
     ] = None,
-    merge: MergeOption = MERGED,
+    *,
+    place: HereWithMerge,
     as_json: JsonOption = False,
-    workspace: WorkspaceOption = DEFAULT_WORKSPACE,
 ) -> None:
     """Tell what changed between the runs that were merged.
 
@@ -62,7 +55,6 @@ def changes(
       topobatch changes --all --json
     """
     form = None if output is None else picture_form(output)
-    place = Workspace(workspace, merge)
     result = place.read_result()
     names = {c.id: c.name for c in result.components}
     component = place.component(result, component, site)

@@ -18,7 +18,7 @@ from ..topology.wording import listed
 from ..viz.exports import ENDINGS
 from .ingest_record import PIECE
 from .journal import note
-from .options import DEFAULT_WORKSPACE, QuietOption, WorkspaceOption, complete_run, verb
+from .options import Here, QuietOption, complete_run, verb
 from .output import say, show, warn
 from .workspace import MERGED, Workspace, checked_file_name, pair_named
 
@@ -50,7 +50,8 @@ def lock(
             'the numbers their maps give them: "3,7".',
         ),
     ] = None,
-    workspace: WorkspaceOption = DEFAULT_WORKSPACE,
+    *,
+    place: Here,
 ) -> None:
     """Say that two runs belong together, or never do.
 
@@ -64,7 +65,6 @@ def lock(
       topobatch lock run1 run3 --never
       topobatch merge --all
     """
-    place = Workspace(workspace)
     if a is None or b is None:
         if a is not None or same or never or clear or at is not None:
             raise UsageError("name two runs: topobatch lock A B --same (or --never, or --clear)")
@@ -145,7 +145,8 @@ def discard(
         ),
     ] = None,
     undo: Annotated[bool, typer.Option("--undo", help="Let the matches A:B count again.")] = False,
-    workspace: WorkspaceOption = DEFAULT_WORKSPACE,
+    *,
+    place: Here,
     quiet: QuietOption = False,
 ) -> None:
     """Take back runs, or matches of two runs.
@@ -164,7 +165,6 @@ def discard(
     from .merges import made_again
 
     show(quiet=quiet)
-    place = Workspace(workspace)
     if not what:
         if undo:
             raise UsageError("--undo: name the matches, A:B")
@@ -233,7 +233,7 @@ def _discard_run(place: Workspace, run: str) -> None:
 def rename(
     old: Annotated[str, typer.Argument(metavar="OLD", help="A run.", autocompletion=complete_run)],
     new: Annotated[str, typer.Argument(metavar="NEW", help="Its new name.")],
-    workspace: WorkspaceOption = DEFAULT_WORKSPACE,
+    place: Here,
     quiet: QuietOption = False,
 ) -> None:
     """Give a run another name.
@@ -248,7 +248,6 @@ def rename(
     from .merges import made_again
 
     show(quiet=quiet)
-    place = Workspace(workspace)
     checked_file_name(new)
     with place.held():
         names = _names(place, old, new)
@@ -305,7 +304,7 @@ def site(
             autocompletion=complete_run,
         ),
     ],
-    workspace: WorkspaceOption = DEFAULT_WORKSPACE,
+    place: Here,
     quiet: QuietOption = False,
 ) -> None:
     """Name sites: the places where runs that were merged were recorded.
@@ -327,7 +326,6 @@ def site(
     show(quiet=quiet)
     if len(words) % 2:
         raise UsageError(f"a run and a name for its site are needed; {words[-1]!r} is alone")
-    place = Workspace(workspace)
     with place.held():
         before = place.sites()
         try:

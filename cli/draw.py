@@ -12,7 +12,7 @@ import typer
 from ..merge.result import Component
 from ..topology.errors import UsageError
 from ..topology.topomap import TopoMap
-from .options import DEFAULT_WORKSPACE, WorkspaceOption, complete_run, verb
+from .options import Here, complete_run, verb
 from .output import checked_output, say, write_files
 from .workspace import Workspace
 
@@ -33,7 +33,7 @@ def draw(
         ),
     ],
     out: Annotated[Path, typer.Argument(metavar="OUT.svg|OUT.png", help="The picture to write.")],
-    workspace: WorkspaceOption = DEFAULT_WORKSPACE,
+    place: Here,
     theme: Annotated[
         Literal["light", "dark"], typer.Option(help="For light paper or a dark screen.")
     ] = "light",
@@ -62,7 +62,7 @@ def draw(
 
     form = picture_form(out)
     quiet_fonts()
-    canvas = _drawn(Workspace(workspace), what, DARK if theme == "dark" else LIGHT)
+    canvas = _drawn(place, what, DARK if theme == "dark" else LIGHT)
     write_files({out: canvas.as_bytes(form)})
     say(f"{out}")
 

@@ -16,14 +16,7 @@ from ..topology.errors import UsageError
 from ..topology.topomap import TopoMap
 from ..topology.wording import counted
 from .matching import kept_results, settings_of
-from .options import (
-    DEFAULT_WORKSPACE,
-    JsonOption,
-    MergeOption,
-    WorkspaceOption,
-    complete_run,
-    verb,
-)
+from .options import HereWithMerge, JsonOption, complete_run, verb
 from .output import say, say_json, say_lines, width
 from .paper_options import PaperOptions
 from .unchanged import changed_since, told_changed
@@ -42,7 +35,8 @@ def explain(
     b: Annotated[
         str | None, typer.Argument(metavar="B", help="Another run.", autocompletion=complete_run)
     ] = None,
-    workspace: WorkspaceOption = DEFAULT_WORKSPACE,
+    *,
+    place: HereWithMerge,
     method: Annotated[
         Literal["robust", "paper"],
         typer.Option(
@@ -50,8 +44,7 @@ def explain(
             "paper: the tables and clusters of Huang & Beevers."
         ),
     ] = "robust",
-    merge: MergeOption = MERGED,
-    paper: PaperOptions = PaperOptions(),  # noqa: B008 - frozen
+    paper: PaperOptions,
     as_json: JsonOption = False,
     rows: Annotated[
         int | None,
@@ -80,8 +73,7 @@ def explain(
       topobatch explain run1 run2
       topobatch explain run1 run2 --method paper --rows 5
     """
-    place = Workspace(workspace, merge)
-    if merge != MERGED:
+    if place.merge != MERGED:
         place.require_merge()
     if b is None:
         a, _, b = a.partition(":")

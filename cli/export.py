@@ -20,16 +20,7 @@ from ..topology.topomap import TopoMap
 from ..topology.wording import listed
 from ..viz.exports import corrected_tum, map_texts, pose_graph_g2o, recorded_tum
 from .export_grid import PICTURE, Exported, grid_texts, log_of
-from .options import (
-    DEFAULT_WORKSPACE,
-    ComponentOption,
-    JsonOption,
-    QuietOption,
-    SiteOption,
-    WorkspaceOption,
-    complete_run,
-    verb,
-)
+from .options import ComponentOption, Here, JsonOption, QuietOption, SiteOption, complete_run, verb
 from .output import checked_output, say, say_json, say_text, show, warn, write_files
 from .workspace import MERGED, Named, Workspace
 
@@ -89,7 +80,8 @@ def export(
             "it.",
         ),
     ] = None,
-    workspace: WorkspaceOption = DEFAULT_WORKSPACE,
+    *,
+    place: Here,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
@@ -106,7 +98,6 @@ def export(
       topobatch export run1 --format tum
     """
     show(quiet=quiet or as_json)
-    place = Workspace(workspace)
     if output not in (None, STDOUT):
         checked_output(output)
     if as_json and output == STDOUT:

@@ -14,18 +14,10 @@ from ..ingest.reading import LogInfo, ReadSettings, inspect_log, log_size, read_
 from ..ingest.remote.path import LogPath
 from ..topology.errors import DataError, LogError, UsageError
 from ..topology.wording import counted, utc
-from .options import (
-    DEFAULT_WORKSPACE,
-    JsonOption,
-    WorkspaceOption,
-    settings_of,
-    told_settings,
-    verb,
-)
+from .options import Here, JsonOption, settings_of, told_settings, verb
 from .output import complain, counting, progress, say, say_json, table
 from .read_options import ReadOptions
 from .run_logs import run_names
-from .workspace import Workspace
 
 WHOLE_BYTES = 64_000_000
 """Logs up to this size are read whole, without their scans: a fraction of a second."""
@@ -41,7 +33,8 @@ def info(
             "elsewhere (s3://, gs://, az://, https://). Without any, the workspace's settings.",
         ),
     ] = None,
-    read: ReadOptions = ReadOptions(),  # noqa: B008 - frozen
+    *,
+    read: ReadOptions,
     try_all: Annotated[
         bool,
         typer.Option(
@@ -51,7 +44,7 @@ def info(
         ),
     ] = False,
     as_json: JsonOption = False,
-    workspace: WorkspaceOption = DEFAULT_WORKSPACE,
+    place: Here,
 ) -> None:
     """Show what logs hold and what ingest would use.
 
@@ -67,7 +60,7 @@ def info(
       topobatch info run1.mcap
       topobatch info logs/ --json
     """
-    settings, place = read.settings(), Workspace(workspace)
+    settings = read.settings()
     if (remembered := settings_of(place)) and not as_json:
         say(f"{place.settings_toml}: {told_settings(remembered)}")
     if not logs and not remembered:

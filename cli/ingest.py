@@ -15,15 +15,7 @@ from ..ingest.remote.path import LogPath
 from ..topology.errors import LogError, UsageError
 from ..topology.wording import counted, listed
 from .journal import note
-from .options import (
-    DEFAULT_WORKSPACE,
-    JsonOption,
-    QuietOption,
-    VerboseOption,
-    WorkspaceOption,
-    by_settings,
-    verb,
-)
+from .options import Here, JsonOption, QuietOption, VerboseOption, by_settings, verb
 from .output import complain, detail, progress, say, say_json, show, tell, warn
 from .read_options import MapOptions, ReadOptions
 from .run_logs import run_names
@@ -47,9 +39,9 @@ def ingest(
             "https://).",
         ),
     ],
-    workspace: WorkspaceOption = DEFAULT_WORKSPACE,
-    read: ReadOptions = ReadOptions(),  # noqa: B008 - frozen
-    mapping: MapOptions = MapOptions(),  # noqa: B008 - frozen
+    place: Here,
+    read: ReadOptions,
+    mapping: MapOptions,
     name: Annotated[
         str | None,
         typer.Option(
@@ -98,7 +90,7 @@ def ingest(
     from .ingest_worker import IngestJob
 
     show(quiet=quiet or as_json, verbose=verbose)
-    place, settings = Workspace(workspace), read.settings(strict=strict)
+    settings = read.settings(strict=strict)
     found, missing = read.logs(logs)
     like = IngestJob(Path(), "", place, settings, mapping.settings(), force)
     planned = _plan(found, missing, name, like)

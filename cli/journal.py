@@ -12,7 +12,7 @@ import typer
 from ..topology.errors import DataError
 from ..topology.files import read_bytes, write_text
 from ..topology.wording import counted
-from .options import DEFAULT_WORKSPACE, JsonOption, WorkspaceOption, verb
+from .options import Here, JsonOption, verb
 from .output import say, say_json, table, warn
 from .workspace import Workspace
 
@@ -52,7 +52,7 @@ def _entry(line: str) -> dict[str, Any] | None:
 
 @verb
 def history(
-    workspace: WorkspaceOption = DEFAULT_WORKSPACE,
+    place: Here,
     most: Annotated[
         int,
         typer.Option(
@@ -68,7 +68,6 @@ def history(
     \b
       topobatch history --last 5
     """
-    place = Workspace(workspace)
     place.require()
     lines = _lines(place)
     known = [entry for line in lines if (entry := _entry(line)) is not None]

@@ -19,12 +19,11 @@ from .journal import note
 from .matching import MatchOptions, match_share, read_maps
 from .merges import made, sites_before
 from .options import (
-    DEFAULT_WORKSPACE,
     FalseMergeRate,
+    Here,
     JsonOption,
     QuietOption,
     VerboseOption,
-    WorkspaceOption,
     by_settings,
     complete_run,
     verb,
@@ -83,8 +82,9 @@ def merge(
     everything: Annotated[
         bool, typer.Option("--all", help="Merge every run of the workspace.")
     ] = False,
-    workspace: WorkspaceOption = DEFAULT_WORKSPACE,
-    how: MethodOptions = MethodOptions(),
+    *,
+    place: Here,
+    how: MethodOptions,
     output: Annotated[
         str | None,
         typer.Option(
@@ -96,8 +96,8 @@ def merge(
         bool,
         typer.Option("--replace", help="Overwrite a merge of runs that this one leaves out."),
     ] = False,
-    paper: PaperOptions = PaperOptions(),  # noqa: B008 - frozen
-    where: MatchOptions = MatchOptions(),  # noqa: B008 - frozen
+    paper: PaperOptions,
+    where: MatchOptions,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
     verbose: VerboseOption = False,
@@ -117,8 +117,8 @@ def merge(
       topobatch merge run1 run2 --output two
     """
     show(quiet=quiet or as_json, verbose=verbose)
-    place = Workspace(workspace, MERGED if output is None else output)
     if output is not None:
+        place = Workspace(place.root, output)
         place.check_merge()
     if how.method == "robust":
         paper.refuse()

@@ -15,9 +15,9 @@ from ..topology.errors import UsageError
 from ..topology.wording import counted, listed
 from ..viz.exports.drives import drives_csv, drives_geojson
 from .draw import quiet_fonts, walled
-from .options import DEFAULT_WORKSPACE, JsonOption, MergeOption, WorkspaceOption, verb
+from .options import HereWithMerge, JsonOption, verb
 from .output import checked_output, folded, say, say_folded, say_json, write_files
-from .workspace import MERGED, Workspace
+from .workspace import Workspace
 
 PLANS, PICTURES = (".csv", ".geojson"), (".svg", ".png")
 """Suffixes of files of waypoints, and of pictures."""
@@ -48,9 +48,9 @@ def next_drives(
             ".geojson); may be given several times.",
         ),
     ] = None,
-    merge: MergeOption = MERGED,
+    *,
+    place: HereWithMerge,
     as_json: JsonOption = False,
-    workspace: WorkspaceOption = DEFAULT_WORKSPACE,
 ) -> None:
     """Tell what to record next, so that more runs come together.
 
@@ -69,7 +69,6 @@ def next_drives(
     for path in output or ():
         if checked_output(path).suffix.lower() not in PLANS + PICTURES:
             raise UsageError(f"{path}: a plan's name ends in .svg, .png, .csv or .geojson")
-    place = Workspace(workspace, merge)
     result = place.read_result()
     names = {c.name: c.id for c in result.components}
     if site is not None and site not in names:

@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass
 from difflib import get_close_matches
 from functools import wraps
-from inspect import Parameter, Signature, signature
+from inspect import Parameter, Signature, isfunction, signature
 from pathlib import Path
 from typing import Annotated, Any, get_type_hints
 
@@ -23,35 +23,45 @@ from typer.exceptions import TyperException
 from ..topology.errors import DocumentError, TopobatchError
 from ..topology.files import read_bytes
 from .read_options import MapOptions, ReadOptions
-from .workspace import USUAL, Workspace
+from .workspace import MERGED, USUAL, Workspace
 
 Command = Callable[..., None]
 
 
 def verb(command: Command) -> Command:
-    """The command with the fields of parameters that are dataclasses in place of these, as typer
-    takes them: each an option, annotated and with its default."""
+    """The command as typer takes it: in place of a parameter that is made of several options, a
+    dataclass or annotated with the function that makes it, these: each annotated and with its
+    default."""
     hints = get_type_hints(command, include_extras=True)
-    groups: dict[str, Any] = {k: hint for k, hint in hints.items() if is_dataclass(hint)}
+    made = {name: _maker(hint) for name, hint in hints.items()}
 
     @wraps(command)
     def called(**given: Any) -> None:
-        for name, group in groups.items():
-            given[name] = group(**{field.name: given.pop(field.name) for field in fields(group)})
+        for name, maker in made.items():
+            if maker is not None:
+                options = {own: given.pop(own) for own in signature(maker).parameters}
+                given[name] = maker(**options)
         command(**given)
 
     parameters = []
     for name, own in signature(command).parameters.items():
-        kinds = get_type_hints(groups.get(name, object), include_extras=True)
-        for field in fields(groups[name]) if name in groups else ():
-            kind, default = kinds[field.name], field.default
-            one = Parameter(field.name, Parameter.KEYWORD_ONLY, default=default, annotation=kind)
-            parameters.append(one)
-        if name not in groups:
-            parameters.append(own.replace(kind=Parameter.KEYWORD_ONLY, annotation=hints[name]))
+        maker = made[name]
+        several = {name: own} if maker is None else signature(maker).parameters
+        kinds = hints if maker is None else get_type_hints(maker, include_extras=True)
+        parameters += [
+            each.replace(kind=Parameter.KEYWORD_ONLY, annotation=kinds[option])
+            for option, each in several.items()
+        ]
     called.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
     called.__annotations__ = {each.name: each.annotation for each in parameters}
     return called
+
+
+def _maker(hint: Any) -> Callable[..., Any] | None:
+    """What makes a parameter of several options; None if it is an option itself."""
+    if is_dataclass(hint):
+        return hint  # type: ignore[return-value]
+    return next(filter(isfunction, getattr(hint, "__metadata__", ())), None)
 
 
 def _with_settings(context: typer.Context, workspace: Path) -> Path:
@@ -84,15 +94,27 @@ WorkspaceOption = Annotated[
         callback=_with_settings,
     ),
 ]
-DEFAULT_WORKSPACE = USUAL
-
-QuietOption = Annotated[
-    bool, typer.Option("--quiet", "-q", help="Show errors only: no progress, no summary.")
-]
 
 MergeOption = Annotated[
     str,
     typer.Option("--merge", metavar="NAME", help="The merge to use, by its --output NAME."),
+]
+
+
+def _place(workspace: WorkspaceOption = USUAL) -> Workspace:
+    return Workspace(workspace)
+
+
+def _place_of_merge(workspace: WorkspaceOption = USUAL, merge: MergeOption = MERGED) -> Workspace:
+    return Workspace(workspace, merge)
+
+
+Here = Annotated[Workspace, _place]
+HereWithMerge = Annotated[Workspace, _place_of_merge]
+"""The workspace that a command is about, with one of its merges."""
+
+QuietOption = Annotated[
+    bool, typer.Option("--quiet", "-q", help="Show errors only: no progress, no summary.")
 ]
 
 SiteOption = Annotated[
@@ -126,7 +148,7 @@ def complete_run(ctx: typer.Context, incomplete: str) -> list[str]:
     """Runs of the workspace with this prefix, for shell completion."""
     named = ctx.params.get("workspace") or os.environ.get("TOPOBATCH_WORKSPACE")
     try:
-        runs = Workspace(Path(named or DEFAULT_WORKSPACE)).runs()
+        runs = Workspace(Path(named or USUAL)).runs()
     except (TopobatchError, OSError):
         return []
     return [run for run in runs if run.startswith(incomplete) and run.isprintable()]

@@ -31,14 +31,7 @@ from ..topology.errors import DataError, UsageError
 from ..topology.map_schema import FARTHEST_M
 from ..topology.se2 import wrap
 from ..topology.wording import quoted_formula
-from .options import (
-    DEFAULT_WORKSPACE,
-    MergeOption,
-    QuietOption,
-    WorkspaceOption,
-    complete_run,
-    verb,
-)
+from .options import HereWithMerge, QuietOption, complete_run, verb
 from .output import checked_output, complain, say, say_text, show, write_files
 from .workspace import MERGED, Workspace
 
@@ -78,14 +71,14 @@ def transfer(
             help="A place that may be off by more (95 % bound) is not carried.",
         ),
     ] = 0.5,
-    merge: MergeOption = MERGED,
     output: Annotated[
         Path | None,
         typer.Option(
             "--output", "-o", metavar="FILE", help="File to write; default: -, the standard output."
         ),
     ] = None,
-    workspace: WorkspaceOption = DEFAULT_WORKSPACE,
+    *,
+    place: HereWithMerge,
     quiet: QuietOption = False,
 ) -> None:
     """Carry named places from one map to another.
@@ -101,7 +94,6 @@ def transfer(
       topobatch transfer docks.csv --from run1 --to merged --output site.csv
     """
     show(quiet=quiet)
-    place = Workspace(workspace, merge)
     out = None if output is None or str(output) == "-" else checked_output(output)
     columns, known = read_places(places)
     matched, why = _matched(place, source, target)

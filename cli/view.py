@@ -15,7 +15,7 @@ from urllib.parse import quote
 import typer
 
 from ..topology.errors import DataError, UsageError
-from .options import DEFAULT_WORKSPACE, WorkspaceOption, complete_run, verb
+from .options import Here, complete_run, verb
 from .output import say
 from .workspace import MERGED, Workspace
 
@@ -34,7 +34,8 @@ def view(
             autocompletion=complete_run,
         ),
     ] = MERGED,
-    workspace: WorkspaceOption = DEFAULT_WORKSPACE,
+    *,
+    place: Here,
     web: Annotated[
         bool,
         typer.Option(
@@ -64,7 +65,6 @@ def view(
       topobatch view run1
       topobatch view --web
     """
-    place = Workspace(workspace)
     recording = _recording(place, what)
     screens = sys.platform in ("darwin", "win32")
     if web:
