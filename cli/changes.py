@@ -6,14 +6,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
 from ..merge.change import Change, change_to_document
 from ..merge.changes import changes as changes_of
 from ..merge.result import Component, MergeResult
 from ..topology.wording import counted
 from .draw import picture_form, quiet_fonts, walled
-from .options import ComponentOption, HereWithMerge, JsonOption, verb
+from .options import ComponentOption, HereWithMerge, JsonOption, argument, option, verb
 from .output import say, say_folded, say_json, write_files
 from .workspace import Workspace
 
@@ -23,20 +21,13 @@ if TYPE_CHECKING:  # which loads matplotlib
 
 @verb
 def changes(
-    site: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="SITE",
-            help="Only this site (topobatch list).",
-        ),
-    ] = None,
+    site: Annotated[str | None, argument("SITE", "Only this site (topobatch list).")] = None,
     component: ComponentOption = None,
     everything: Annotated[
-        bool, typer.Option("--all", help="Also differences that may be due to chance.")
+        bool, option("--all", "Also differences that may be due to chance.")
     ] = False,
     output: Annotated[
-        Path | None,
-        typer.Option("--output", "-o", metavar="FILE", help="Also draw them there (.svg, .png)."),
+        Path | None, option("--output -o FILE", "Also draw them there (.svg, .png).")
     ] = None,
     *,
     place: HereWithMerge,

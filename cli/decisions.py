@@ -7,8 +7,6 @@ import re
 from dataclasses import asdict, replace
 from typing import Annotated
 
-import typer
-
 from ..merge.locks import Lock, with_lock, without_lock
 from ..merge.merged_schema import is_site_name
 from ..topology.document import write_map
@@ -18,7 +16,7 @@ from ..topology.wording import listed
 from ..viz.exports import ENDINGS
 from .ingest_record import PIECE
 from .journal import note
-from .options import Here, QuietOption, complete_run, verb
+from .options import Here, QuietOption, argument, complete_run, option, verb
 from .output import say, show, warn
 from .workspace import MERGED, Workspace, checked_file_name, pair_named
 
@@ -27,26 +25,20 @@ Pair = tuple[str, str]
 
 @verb
 def lock(
-    a: Annotated[
-        str | None, typer.Argument(metavar="A", help="A run.", autocompletion=complete_run)
-    ] = None,
-    b: Annotated[
-        str | None, typer.Argument(metavar="B", help="Another run.", autocompletion=complete_run)
-    ] = None,
+    a: Annotated[str | None, argument("A", "A run.", autocompletion=complete_run)] = None,
+    b: Annotated[str | None, argument("B", "Another run.", autocompletion=complete_run)] = None,
     same: Annotated[
-        bool, typer.Option("--same", help="The two share places: join them, where they fit best.")
+        bool, option("--same", "The two share places: join them, where they fit best.")
     ] = False,
     never: Annotated[
-        bool, typer.Option("--never", help="They share nothing: keep them apart, always.")
+        bool, option("--never", "They share nothing: keep them apart, always.")
     ] = False,
-    clear: Annotated[
-        bool, typer.Option("--clear", help="Forget what was said about the two.")
-    ] = False,
+    clear: Annotated[bool, option("--clear", "Forget what was said about the two.")] = False,
     at: Annotated[
         str | None,
-        typer.Option(
-            metavar="JUNCTIONS",
-            help="With --same: a junction of A and the junction of B that is the same place, by "
+        option(
+            "--at JUNCTIONS",
+            "With --same: a junction of A and the junction of B that is the same place, by "
             'the numbers their maps give them: "3,7".',
         ),
     ] = None,
@@ -138,13 +130,9 @@ def _show_locks(locks: tuple[Lock, ...]) -> None:
 def discard(
     what: Annotated[
         list[str] | None,
-        typer.Argument(
-            metavar="RUN|A:B",
-            help="Runs, or matches of two runs.",
-            autocompletion=complete_run,
-        ),
+        argument("RUN|A:B", "Runs, or matches of two runs.", autocompletion=complete_run),
     ] = None,
-    undo: Annotated[bool, typer.Option("--undo", help="Let the matches A:B count again.")] = False,
+    undo: Annotated[bool, option("--undo", "Let the matches A:B count again.")] = False,
     *,
     place: Here,
     quiet: QuietOption = False,
@@ -231,8 +219,8 @@ def _discard_run(place: Workspace, run: str) -> None:
 
 @verb
 def rename(
-    old: Annotated[str, typer.Argument(metavar="OLD", help="A run.", autocompletion=complete_run)],
-    new: Annotated[str, typer.Argument(metavar="NEW", help="Its new name.")],
+    old: Annotated[str, argument("OLD", "A run.", autocompletion=complete_run)],
+    new: Annotated[str, argument("NEW", "Its new name.")],
     place: Here,
     quiet: QuietOption = False,
 ) -> None:
@@ -297,9 +285,9 @@ def _rename(place: Workspace, old: str, new: str, names: dict[str, str]) -> None
 def site(
     words: Annotated[
         list[str],
-        typer.Argument(
-            metavar="RUN|SITE NAME ...",
-            help="A run of the site, or its name so far, and what to call it from now on; several "
+        argument(
+            "RUN|SITE NAME ...",
+            "A run of the site, or its name so far, and what to call it from now on; several "
             "such pairs, one after the other.",
             autocompletion=complete_run,
         ),

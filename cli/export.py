@@ -7,8 +7,6 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
-import typer
-
 from ..ingest.reading import read_run
 from ..merge.component_map import component_map, component_pose_graph, stale_runs
 from ..merge.result import Component, MergeResult
@@ -20,7 +18,17 @@ from ..topology.topomap import TopoMap
 from ..topology.wording import listed
 from ..viz.exports import corrected_tum, map_texts, pose_graph_g2o, recorded_tum
 from .export_grid import PICTURE, Exported, grid_texts, log_of
-from .options import ComponentOption, Here, JsonOption, QuietOption, SiteOption, complete_run, verb
+from .options import (
+    ComponentOption,
+    Here,
+    JsonOption,
+    QuietOption,
+    SiteOption,
+    argument,
+    complete_run,
+    option,
+    verb,
+)
 from .output import checked_output, say, say_json, say_text, show, warn, write_files
 from .workspace import MERGED, Named, Workspace
 
@@ -33,10 +41,9 @@ Format = Literal["nav2", "lif", "rmf", "tmap2", "graphml", "grid", "g2o", "tum",
 def export(
     form: Annotated[
         Format,
-        typer.Option(
-            "--format",
-            "-f",
-            help="nav2: GeoJSON of the Nav2 route server; lif: VDMA LIF 1.0; rmf: Open-RMF "
+        option(
+            "--format -f",
+            "nav2: GeoJSON of the Nav2 route server; lif: VDMA LIF 1.0; rmf: Open-RMF "
             "navigation graph; tmap2: LCAS topological map; graphml; grid: map.yaml and picture "
             "of map_server and AMCL; g2o: pose graph; "
             "tum: trajectories; csv: two tables.",
@@ -44,9 +51,9 @@ def export(
     ],
     what: Annotated[
         str,
-        typer.Argument(
-            metavar="[RUN|SITE|merged]",
-            help="A run, a site, or all sites of the merged map (merged, which is the default, or "
+        argument(
+            "[RUN|SITE|merged]",
+            "A run, a site, or all sites of the merged map (merged, which is the default, or "
             "the --output NAME of a merge).",
             show_default=False,
             autocompletion=complete_run,
@@ -54,30 +61,27 @@ def export(
     ] = MERGED,
     output: Annotated[
         Path | None,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="FILE",
-            help="File to write, - for the standard output; default: in the workspace's exports/.",
+        option(
+            "--output -o FILE",
+            "File to write, - for the standard output; default: in the workspace's exports/.",
         ),
     ] = None,
     site: SiteOption = None,
     component: ComponentOption = None,
     tolerance: Annotated[
         float,
-        typer.Option(
-            metavar="METRES",
+        option(
+            "--tolerance METRES",
+            "How far a corridor may lie from its straight pieces (nav2, lif, rmf, tmap2).",
             min=0.001,
             max=10.0,
-            help="How far a corridor may lie from its straight pieces (nav2, lif, rmf, tmap2).",
         ),
     ] = 0.05,
     log: Annotated[
         Path | None,
-        typer.Option(
-            metavar="LOG",
-            help="Where the log of the run is now, for tum and grid; default: where ingest read "
-            "it.",
+        option(
+            "--log LOG",
+            "Where the log of the run is now, for tum and grid; default: where ingest read it.",
         ),
     ] = None,
     *,

@@ -14,9 +14,17 @@ from ..ingest.reading import LogInfo, ReadSettings, inspect_log, log_size, read_
 from ..ingest.remote.path import LogPath
 from ..topology.errors import DataError, LogError, UsageError
 from ..topology.wording import counted, utc
-from .options import Here, JsonOption, settings_of, told_settings, verb
+from .options import (
+    Here,
+    JsonOption,
+    ReadOptions,
+    argument,
+    option,
+    settings_of,
+    told_settings,
+    verb,
+)
 from .output import complain, counting, progress, say, say_json, table
-from .read_options import ReadOptions
 from .run_logs import run_names
 
 WHOLE_BYTES = 64_000_000
@@ -27,9 +35,9 @@ WHOLE_BYTES = 64_000_000
 def info(
     logs: Annotated[
         list[str] | None,
-        typer.Argument(
-            metavar="LOG",
-            help="MCAP files, ROS 1 bags, ROS 2 bag folders, or folders of logs; here, or "
+        argument(
+            "LOG",
+            "MCAP files, ROS 1 bags, ROS 2 bag folders, or folders of logs; here, or "
             "elsewhere (s3://, gs://, az://, https://). Without any, the workspace's settings.",
         ),
     ] = None,
@@ -37,9 +45,9 @@ def info(
     read: ReadOptions,
     try_all: Annotated[
         bool,
-        typer.Option(
+        option(
             "--try",
-            help="Read logs as ingest does, whatever their size, and match their scans: takes as "
+            "Read logs as ingest does, whatever their size, and match their scans: takes as "
             "long as ingest.",
         ),
     ] = False,

@@ -9,9 +9,18 @@ import typer
 from ..topology.errors import UsageError
 from ..topology.files import write_text
 from .journal import note
-from .options import NAMES, FalseMergeRate, Here, settings_text, told_settings, verb
+from .options import (
+    NAMES,
+    FalseMergeRate,
+    Here,
+    MapOptions,
+    ReadOptions,
+    option,
+    settings_text,
+    told_settings,
+    verb,
+)
 from .output import say_lines
-from .read_options import MapOptions, ReadOptions
 
 
 @verb
@@ -21,9 +30,7 @@ def init(
     read: ReadOptions,
     mapping: MapOptions,
     false_merge_rate: FalseMergeRate = None,
-    forget: Annotated[
-        bool, typer.Option("--forget", help="Forget what it remembered before.")
-    ] = False,
+    forget: Annotated[bool, option("--forget", "Forget what it remembered before.")] = False,
 ) -> None:
     """Have a workspace remember options, so that no call needs to repeat them.
 

@@ -7,12 +7,10 @@ import os
 from datetime import UTC, datetime
 from typing import Annotated, Any
 
-import typer
-
 from ..topology.errors import DataError
 from ..topology.files import read_bytes, write_text
 from ..topology.wording import counted
-from .options import Here, JsonOption, verb
+from .options import Here, JsonOption, option, verb
 from .output import say, say_json, table, warn
 from .workspace import Workspace
 
@@ -54,10 +52,7 @@ def _entry(line: str) -> dict[str, Any] | None:
 def history(
     place: Here,
     most: Annotated[
-        int,
-        typer.Option(
-            "--last", "-n", metavar="N", min=1, help="Number of entries to show, the latest."
-        ),
+        int, option("--last -n N", "Number of entries to show, the latest.", min=1)
     ] = 20,
     as_json: JsonOption = False,
 ) -> None:

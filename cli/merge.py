@@ -24,8 +24,10 @@ from .options import (
     JsonOption,
     QuietOption,
     VerboseOption,
+    argument,
     by_settings,
     complete_run,
+    option,
     verb,
 )
 from .output import detail, is_verbose, say, say_folded, say_json, show, warn
@@ -54,9 +56,10 @@ class MethodOptions:
 
     method: Annotated[
         Literal["robust", "paper"],
-        typer.Option(
-            help="robust: tolerant matching, evidence in bits, three verdicts; "
-            "paper: Huang & Beevers, section by section, for comparison."
+        option(
+            "--method",
+            "robust: tolerant matching, evidence in bits, three verdicts; "
+            "paper: Huang & Beevers, section by section, for comparison.",
         ),
     ] = "robust"
     false_merge_rate: FalseMergeRate = None
@@ -76,25 +79,20 @@ class MethodOptions:
 @verb
 def merge(
     runs: Annotated[
-        list[str] | None,
-        typer.Argument(metavar="RUN", help="Runs to merge, by name.", autocompletion=complete_run),
+        list[str] | None, argument("RUN", "Runs to merge, by name.", autocompletion=complete_run)
     ] = None,
-    everything: Annotated[
-        bool, typer.Option("--all", help="Merge every run of the workspace.")
-    ] = False,
+    everything: Annotated[bool, option("--all", "Merge every run of the workspace.")] = False,
     *,
     place: Here,
     how: MethodOptions,
     output: Annotated[
         str | None,
-        typer.Option(
-            metavar="NAME",
-            help="Write NAME.json and NAME.rrd instead of merged.json and merged.rrd.",
+        option(
+            "--output NAME", "Write NAME.json and NAME.rrd instead of merged.json and merged.rrd."
         ),
     ] = None,
     replace_last: Annotated[
-        bool,
-        typer.Option("--replace", help="Overwrite a merge of runs that this one leaves out."),
+        bool, option("--replace", "Overwrite a merge of runs that this one leaves out.")
     ] = False,
     paper: PaperOptions,
     where: MatchOptions,

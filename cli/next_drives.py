@@ -6,8 +6,6 @@ from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from ..merge.drive import Drive, drive_to_document
 from ..merge.drives import drives, never_driven
 from ..merge.result import MergeResult, Standing
@@ -15,7 +13,7 @@ from ..topology.errors import UsageError
 from ..topology.wording import counted, listed
 from ..viz.exports.drives import drives_csv, drives_geojson
 from .draw import quiet_fonts, walled
-from .options import HereWithMerge, JsonOption, verb
+from .options import HereWithMerge, JsonOption, argument, option, verb
 from .output import checked_output, folded, say, say_folded, say_json, write_files
 from .workspace import Workspace
 
@@ -29,22 +27,14 @@ MOST_JUNCTIONS = 12
 @verb
 def next_drives(
     site: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="SITE",
-            help="Only drives that begin at this site, or join it.",
-        ),
+        str | None, argument("SITE", "Only drives that begin at this site, or join it.")
     ] = None,
-    most: Annotated[
-        int, typer.Option("--drives", "-n", metavar="N", min=1, help="How many drives to list.")
-    ] = 5,
+    most: Annotated[int, option("--drives -n N", "How many drives to list.", min=1)] = 5,
     output: Annotated[
         list[Path] | None,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="FILE",
-            help="Also write the plan there: a picture (.svg, .png), or its waypoints (.csv, "
+        option(
+            "--output -o FILE",
+            "Also write the plan there: a picture (.svg, .png), or its waypoints (.csv, "
             ".geojson); may be given several times.",
         ),
     ] = None,

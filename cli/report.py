@@ -22,7 +22,7 @@ from ..topology.topomap import TopoMap
 from ..topology.wording import counted
 from .matching import kept_results, settings_of
 from .next_drives import nothing_worth
-from .options import HereWithMerge, verb
+from .options import HereWithMerge, argument, verb
 from .output import Advance, begin, checked_output, complain, progress, say, write_files
 from .unchanged import changed_since, told_changed
 from .version import VERSION
@@ -41,8 +41,7 @@ STANDS_ON = ("numpy", "scipy", "pydantic", "rosbags", "bokeh", "rerun-sdk")
 @verb
 def report(
     out: Annotated[
-        Path | None,
-        typer.Argument(metavar="OUT.html", help="The page; default: report.html in the workspace."),
+        Path | None, argument("OUT.html", "The page; default: report.html in the workspace.")
     ] = None,
     *,
     place: HereWithMerge,
