@@ -6,23 +6,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
 from ..merge.change import Change, change_to_document
 from ..merge.changes import changes as changes_of
 from ..merge.result import Component, MergeResult
 from ..topology.wording import counted
 from .draw import picture_form, quiet_fonts, walled
-from .options import (
-    DEFAULT_WORKSPACE,
-    ComponentOption,
-    JsonOption,
-    MergeOption,
-    WorkspaceOption,
-    verb,
-)
+from .options import ComponentOption, HereWithMerge, JsonOption, argument, option, verb
 from .output import say, say_folded, say_json, write_files
-from .workspace import MERGED, Workspace
+from .workspace import Workspace
 
 if TYPE_CHECKING:  # which loads matplotlib
     from ..viz.canvas import Canvas
@@ -30,24 +21,17 @@ if TYPE_CHECKING:  # which loads matplotlib
 
 @verb
 def changes(
-    site: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="SITE",
-            help="Only this site (topobatch list).",
-        ),
-    ] = None,
+    site: Annotated[str | None, argument("SITE", "Only this site (topobatch list).")] = None,
     component: ComponentOption = None,
     everything: Annotated[
-        bool, typer.Option("--all", help="Also differences that may be due to chance.")
+        bool, option("--all", "Also differences that may be due to chance.")
     ] = False,
     output: Annotated[
-        Path | None,
-        typer.Option("--output", "-o", metavar="FILE", help="Also draw them there (.svg, .png)."),
+        Path | None, option("--output -o FILE", "Also draw them there (.svg, .png).")
     ] = None,
-    merge: MergeOption = MERGED,
+    *,
+    place: HereWithMerge,
     as_json: JsonOption = False,
-    workspace: WorkspaceOption = DEFAULT_WORKSPACE,
 ) -> None:
     """Tell what changed between the runs that were merged.
 
@@ -62,7 +46,6 @@ def changes(
       topobatch changes --all --json
     """
     form = None if output is None else picture_form(output)
-    place = Workspace(workspace, merge)
     result = place.read_result()
     names = {c.id: c.name for c in result.components}
     component = place.component(result, component, site)

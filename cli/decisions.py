@@ -7,8 +7,6 @@ import re
 from dataclasses import asdict, replace
 from typing import Annotated
 
-import typer
-
 from ..merge.locks import Lock, with_lock, without_lock
 from ..merge.merged_schema import is_site_name
 from ..topology.document import write_map
@@ -18,7 +16,7 @@ from ..topology.wording import listed
 from ..viz.exports import ENDINGS
 from .ingest_record import PIECE
 from .journal import note
-from .options import DEFAULT_WORKSPACE, QuietOption, WorkspaceOption, complete_run, verb
+from .options import Here, QuietOption, argument, complete_run, option, verb
 from .output import say, show, warn
 from .workspace import MERGED, Workspace, checked_file_name, pair_named
 
@@ -27,30 +25,25 @@ Pair = tuple[str, str]
 
 @verb
 def lock(
-    a: Annotated[
-        str | None, typer.Argument(metavar="A", help="A run.", autocompletion=complete_run)
-    ] = None,
-    b: Annotated[
-        str | None, typer.Argument(metavar="B", help="Another run.", autocompletion=complete_run)
-    ] = None,
+    a: Annotated[str | None, argument("A", "A run.", autocompletion=complete_run)] = None,
+    b: Annotated[str | None, argument("B", "Another run.", autocompletion=complete_run)] = None,
     same: Annotated[
-        bool, typer.Option("--same", help="The two share places: join them, where they fit best.")
+        bool, option("--same", "The two share places: join them, where they fit best.")
     ] = False,
     never: Annotated[
-        bool, typer.Option("--never", help="They share nothing: keep them apart, always.")
+        bool, option("--never", "They share nothing: keep them apart, always.")
     ] = False,
-    clear: Annotated[
-        bool, typer.Option("--clear", help="Forget what was said about the two.")
-    ] = False,
+    clear: Annotated[bool, option("--clear", "Forget what was said about the two.")] = False,
     at: Annotated[
         str | None,
-        typer.Option(
-            metavar="JUNCTIONS",
-            help="With --same: a junction of A and the junction of B that is the same place, by "
+        option(
+            "--at JUNCTIONS",
+            "With --same: a junction of A and the junction of B that is the same place, by "
             'the numbers their maps give them: "3,7".',
         ),
     ] = None,
-    workspace: WorkspaceOption = DEFAULT_WORKSPACE,
+    *,
+    place: Here,
 ) -> None:
     """Say that two runs belong together, or never do.
 
@@ -64,7 +57,6 @@ def lock(
       topobatch lock run1 run3 --never
       topobatch merge --all
     """
-    place = Workspace(workspace)
     if a is None or b is None:
         if a is not None or same or never or clear or at is not None:
             raise UsageError("name two runs: topobatch lock A B --same (or --never, or --clear)")
@@ -138,14 +130,11 @@ def _show_locks(locks: tuple[Lock, ...]) -> None:
 def discard(
     what: Annotated[
         list[str] | None,
-        typer.Argument(
-            metavar="RUN|A:B",
-            help="Runs, or matches of two runs.",
-            autocompletion=complete_run,
-        ),
+        argument("RUN|A:B", "Runs, or matches of two runs.", autocompletion=complete_run),
     ] = None,
-    undo: Annotated[bool, typer.Option("--undo", help="Let the matches A:B count again.")] = False,
-    workspace: WorkspaceOption = DEFAULT_WORKSPACE,
+    undo: Annotated[bool, option("--undo", "Let the matches A:B count again.")] = False,
+    *,
+    place: Here,
     quiet: QuietOption = False,
 ) -> None:
     """Take back runs, or matches of two runs.
@@ -164,7 +153,6 @@ def discard(
     from .merges import made_again
 
     show(quiet=quiet)
-    place = Workspace(workspace)
     if not what:
         if undo:
             raise UsageError("--undo: name the matches, A:B")
@@ -231,9 +219,9 @@ def _discard_run(place: Workspace, run: str) -> None:
 
 @verb
 def rename(
-    old: Annotated[str, typer.Argument(metavar="OLD", help="A run.", autocompletion=complete_run)],
-    new: Annotated[str, typer.Argument(metavar="NEW", help="Its new name.")],
-    workspace: WorkspaceOption = DEFAULT_WORKSPACE,
+    old: Annotated[str, argument("OLD", "A run.", autocompletion=complete_run)],
+    new: Annotated[str, argument("NEW", "Its new name.")],
+    place: Here,
     quiet: QuietOption = False,
 ) -> None:
     """Give a run another name.
@@ -248,7 +236,6 @@ def rename(
     from .merges import made_again
 
     show(quiet=quiet)
-    place = Workspace(workspace)
     checked_file_name(new)
     with place.held():
         names = _names(place, old, new)
@@ -298,14 +285,14 @@ def _rename(place: Workspace, old: str, new: str, names: dict[str, str]) -> None
 def site(
     words: Annotated[
         list[str],
-        typer.Argument(
-            metavar="RUN|SITE NAME ...",
-            help="A run of the site, or its name so far, and what to call it from now on; several "
+        argument(
+            "RUN|SITE NAME ...",
+            "A run of the site, or its name so far, and what to call it from now on; several "
             "such pairs, one after the other.",
             autocompletion=complete_run,
         ),
     ],
-    workspace: WorkspaceOption = DEFAULT_WORKSPACE,
+    place: Here,
     quiet: QuietOption = False,
 ) -> None:
     """Name sites: the places where runs that were merged were recorded.
@@ -327,7 +314,6 @@ def site(
     show(quiet=quiet)
     if len(words) % 2:
         raise UsageError(f"a run and a name for its site are needed; {words[-1]!r} is alone")
-    place = Workspace(workspace)
     with place.held():
         before = place.sites()
         try:

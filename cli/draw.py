@@ -7,12 +7,10 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-import typer
-
 from ..merge.result import Component
 from ..topology.errors import UsageError
 from ..topology.topomap import TopoMap
-from .options import DEFAULT_WORKSPACE, WorkspaceOption, complete_run, verb
+from .options import Here, argument, complete_run, option, verb
 from .output import checked_output, say, write_files
 from .workspace import Workspace
 
@@ -25,17 +23,17 @@ if TYPE_CHECKING:  # which loads matplotlib
 def draw(
     what: Annotated[
         str,
-        typer.Argument(
-            metavar="RUN|SITE|merged|A:B",
-            help="A run or a site, for its map; merged, or the --output NAME of a merge; or two "
+        argument(
+            "RUN|SITE|merged|A:B",
+            "A run or a site, for its map; merged, or the --output NAME of a merge; or two "
             "runs, for why they were merged or not.",
             autocompletion=complete_run,
         ),
     ],
-    out: Annotated[Path, typer.Argument(metavar="OUT.svg|OUT.png", help="The picture to write.")],
-    workspace: WorkspaceOption = DEFAULT_WORKSPACE,
+    out: Annotated[Path, argument("OUT.svg|OUT.png", "The picture to write.")],
+    place: Here,
     theme: Annotated[
-        Literal["light", "dark"], typer.Option(help="For light paper or a dark screen.")
+        Literal["light", "dark"], option("--theme", "For light paper or a dark screen.")
     ] = "light",
 ) -> None:
     """Draw a map, the merged map, or the decision on a pair of runs.
@@ -62,7 +60,7 @@ def draw(
 
     form = picture_form(out)
     quiet_fonts()
-    canvas = _drawn(Workspace(workspace), what, DARK if theme == "dark" else LIGHT)
+    canvas = _drawn(place, what, DARK if theme == "dark" else LIGHT)
     write_files({out: canvas.as_bytes(form)})
     say(f"{out}")
 

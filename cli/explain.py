@@ -6,8 +6,6 @@ from dataclasses import replace
 from functools import cache
 from typing import Annotated, Literal
 
-import typer
-
 from ..merge.decision import Decision, to_document
 from ..merge.decision_text import lines
 from ..merge.merged_schema import MergedDocument
@@ -16,14 +14,7 @@ from ..topology.errors import UsageError
 from ..topology.topomap import TopoMap
 from ..topology.wording import counted
 from .matching import kept_results, settings_of
-from .options import (
-    DEFAULT_WORKSPACE,
-    JsonOption,
-    MergeOption,
-    WorkspaceOption,
-    complete_run,
-    verb,
-)
+from .options import HereWithMerge, JsonOption, argument, complete_run, option, verb
 from .output import say, say_json, say_lines, width
 from .paper_options import PaperOptions
 from .unchanged import changed_since, told_changed
@@ -35,31 +26,27 @@ TO_MERGE = "topobatch merge --all"
 
 @verb
 def explain(
-    a: Annotated[
-        str,
-        typer.Argument(metavar="A", help="A run, or both as A:B.", autocompletion=complete_run),
-    ],
-    b: Annotated[
-        str | None, typer.Argument(metavar="B", help="Another run.", autocompletion=complete_run)
-    ] = None,
-    workspace: WorkspaceOption = DEFAULT_WORKSPACE,
+    a: Annotated[str, argument("A", "A run, or both as A:B.", autocompletion=complete_run)],
+    b: Annotated[str | None, argument("B", "Another run.", autocompletion=complete_run)] = None,
+    *,
+    place: HereWithMerge,
     method: Annotated[
         Literal["robust", "paper"],
-        typer.Option(
-            help="robust: the verdict, its evidence and threshold; "
-            "paper: the tables and clusters of Huang & Beevers."
+        option(
+            "--method",
+            "robust: the verdict, its evidence and threshold; "
+            "paper: the tables and clusters of Huang & Beevers.",
         ),
     ] = "robust",
-    merge: MergeOption = MERGED,
-    paper: PaperOptions = PaperOptions(),  # noqa: B008 - frozen
+    paper: PaperOptions,
     as_json: JsonOption = False,
     rows: Annotated[
         int | None,
-        typer.Option(
-            metavar="N",
-            min=1,
-            help="Links, or rows of a table and clusters, to print at most. Default: what fits a "
+        option(
+            "--rows N",
+            "Links, or rows of a table and clusters, to print at most. Default: what fits a "
             "screen; 20 of the paper's.",
+            min=1,
         ),
     ] = None,
 ) -> None:
@@ -80,8 +67,7 @@ def explain(
       topobatch explain run1 run2
       topobatch explain run1 run2 --method paper --rows 5
     """
-    place = Workspace(workspace, merge)
-    if merge != MERGED:
+    if place.merge != MERGED:
         place.require_merge()
     if b is None:
         a, _, b = a.partition(":")

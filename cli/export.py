@@ -7,8 +7,6 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
-import typer
-
 from ..ingest.reading import read_run
 from ..merge.component_map import component_map, component_pose_graph, stale_runs
 from ..merge.result import Component, MergeResult
@@ -21,13 +19,14 @@ from ..topology.wording import listed
 from ..viz.exports import corrected_tum, map_texts, pose_graph_g2o, recorded_tum
 from .export_grid import PICTURE, Exported, grid_texts, log_of
 from .options import (
-    DEFAULT_WORKSPACE,
     ComponentOption,
+    Here,
     JsonOption,
     QuietOption,
     SiteOption,
-    WorkspaceOption,
+    argument,
     complete_run,
+    option,
     verb,
 )
 from .output import checked_output, say, say_json, say_text, show, warn, write_files
@@ -42,10 +41,9 @@ Format = Literal["nav2", "lif", "rmf", "tmap2", "graphml", "grid", "g2o", "tum",
 def export(
     form: Annotated[
         Format,
-        typer.Option(
-            "--format",
-            "-f",
-            help="nav2: GeoJSON of the Nav2 route server; lif: VDMA LIF 1.0; rmf: Open-RMF "
+        option(
+            "--format -f",
+            "nav2: GeoJSON of the Nav2 route server; lif: VDMA LIF 1.0; rmf: Open-RMF "
             "navigation graph; tmap2: LCAS topological map; graphml; grid: map.yaml and picture "
             "of map_server and AMCL; g2o: pose graph; "
             "tum: trajectories; csv: two tables.",
@@ -53,9 +51,9 @@ def export(
     ],
     what: Annotated[
         str,
-        typer.Argument(
-            metavar="[RUN|SITE|merged]",
-            help="A run, a site, or all sites of the merged map (merged, which is the default, or "
+        argument(
+            "[RUN|SITE|merged]",
+            "A run, a site, or all sites of the merged map (merged, which is the default, or "
             "the --output NAME of a merge).",
             show_default=False,
             autocompletion=complete_run,
@@ -63,33 +61,31 @@ def export(
     ] = MERGED,
     output: Annotated[
         Path | None,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="FILE",
-            help="File to write, - for the standard output; default: in the workspace's exports/.",
+        option(
+            "--output -o FILE",
+            "File to write, - for the standard output; default: in the workspace's exports/.",
         ),
     ] = None,
     site: SiteOption = None,
     component: ComponentOption = None,
     tolerance: Annotated[
         float,
-        typer.Option(
-            metavar="METRES",
+        option(
+            "--tolerance METRES",
+            "How far a corridor may lie from its straight pieces (nav2, lif, rmf, tmap2).",
             min=0.001,
             max=10.0,
-            help="How far a corridor may lie from its straight pieces (nav2, lif, rmf, tmap2).",
         ),
     ] = 0.05,
     log: Annotated[
         Path | None,
-        typer.Option(
-            metavar="LOG",
-            help="Where the log of the run is now, for tum and grid; default: where ingest read "
-            "it.",
+        option(
+            "--log LOG",
+            "Where the log of the run is now, for tum and grid; default: where ingest read it.",
         ),
     ] = None,
-    workspace: WorkspaceOption = DEFAULT_WORKSPACE,
+    *,
+    place: Here,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
@@ -106,7 +102,6 @@ def export(
       topobatch export run1 --format tum
     """
     show(quiet=quiet or as_json)
-    place = Workspace(workspace)
     if output not in (None, STDOUT):
         checked_output(output)
     if as_json and output == STDOUT:

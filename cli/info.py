@@ -15,17 +15,17 @@ from ..ingest.remote.path import LogPath
 from ..topology.errors import DataError, LogError, UsageError
 from ..topology.wording import counted, utc
 from .options import (
-    DEFAULT_WORKSPACE,
+    Here,
     JsonOption,
-    WorkspaceOption,
+    ReadOptions,
+    argument,
+    option,
     settings_of,
     told_settings,
     verb,
 )
 from .output import complain, counting, progress, say, say_json, table
-from .read_options import ReadOptions
 from .run_logs import run_names
-from .workspace import Workspace
 
 WHOLE_BYTES = 64_000_000
 """Logs up to this size are read whole, without their scans: a fraction of a second."""
@@ -35,23 +35,24 @@ WHOLE_BYTES = 64_000_000
 def info(
     logs: Annotated[
         list[str] | None,
-        typer.Argument(
-            metavar="LOG",
-            help="MCAP files, ROS 1 bags, ROS 2 bag folders, or folders of logs; here, or "
+        argument(
+            "LOG",
+            "MCAP files, ROS 1 bags, ROS 2 bag folders, or folders of logs; here, or "
             "elsewhere (s3://, gs://, az://, https://). Without any, the workspace's settings.",
         ),
     ] = None,
-    read: ReadOptions = ReadOptions(),  # noqa: B008 - frozen
+    *,
+    read: ReadOptions,
     try_all: Annotated[
         bool,
-        typer.Option(
+        option(
             "--try",
-            help="Read logs as ingest does, whatever their size, and match their scans: takes as "
+            "Read logs as ingest does, whatever their size, and match their scans: takes as "
             "long as ingest.",
         ),
     ] = False,
     as_json: JsonOption = False,
-    workspace: WorkspaceOption = DEFAULT_WORKSPACE,
+    place: Here,
 ) -> None:
     """Show what logs hold and what ingest would use.
 
@@ -67,7 +68,7 @@ def info(
       topobatch info run1.mcap
       topobatch info logs/ --json
     """
-    settings, place = read.settings(), Workspace(workspace)
+    settings = read.settings()
     if (remembered := settings_of(place)) and not as_json:
         say(f"{place.settings_toml}: {told_settings(remembered)}")
     if not logs and not remembered:

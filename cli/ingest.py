@@ -16,16 +16,18 @@ from ..topology.errors import LogError, UsageError
 from ..topology.wording import counted, listed
 from .journal import note
 from .options import (
-    DEFAULT_WORKSPACE,
+    Here,
     JsonOption,
+    MapOptions,
     QuietOption,
+    ReadOptions,
     VerboseOption,
-    WorkspaceOption,
+    argument,
     by_settings,
+    option,
     verb,
 )
 from .output import complain, detail, progress, say, say_json, show, tell, warn
-from .read_options import MapOptions, ReadOptions
 from .run_logs import run_names
 from .workspace import Workspace
 
@@ -41,35 +43,26 @@ WORTH_A_PROCESS_LOGS = 8
 def ingest(
     logs: Annotated[
         list[str],
-        typer.Argument(
-            metavar="LOG",
-            help="Logs, or folders to search for logs; here, or elsewhere (s3://, gs://, az://, "
+        argument(
+            "LOG",
+            "Logs, or folders to search for logs; here, or elsewhere (s3://, gs://, az://, "
             "https://).",
         ),
     ],
-    workspace: WorkspaceOption = DEFAULT_WORKSPACE,
-    read: ReadOptions = ReadOptions(),  # noqa: B008 - frozen
-    mapping: MapOptions = MapOptions(),  # noqa: B008 - frozen
+    place: Here,
+    read: ReadOptions,
+    mapping: MapOptions,
     name: Annotated[
-        str | None,
-        typer.Option(
-            metavar="RUN", help="Name of the run (one log only); default: the log's name."
-        ),
+        str | None, option("--name RUN", "Name of the run (one log only); default: the log's name.")
     ] = None,
-    jobs: Annotated[
-        int,
-        typer.Option(
-            "--jobs", "-j", metavar="N", min=0, help="Logs read at once; 0: one per core."
-        ),
-    ] = 0,
+    jobs: Annotated[int, option("--jobs -j N", "Logs read at once; 0: one per core.", min=0)] = 0,
     force: Annotated[
-        bool, typer.Option("--force", help="Redo finished runs; replace maps made from other logs.")
+        bool, option("--force", "Redo finished runs; replace maps made from other logs.")
     ] = False,
     strict: Annotated[
         bool,
-        typer.Option(
-            "--strict",
-            help="Refuse damaged logs instead of salvaging what they hold, with a warning.",
+        option(
+            "--strict", "Refuse damaged logs instead of salvaging what they hold, with a warning."
         ),
     ] = False,
     as_json: JsonOption = False,
@@ -98,7 +91,7 @@ def ingest(
     from .ingest_worker import IngestJob
 
     show(quiet=quiet or as_json, verbose=verbose)
-    place, settings = Workspace(workspace), read.settings(strict=strict)
+    settings = read.settings(strict=strict)
     found, missing = read.logs(logs)
     like = IngestJob(Path(), "", place, settings, mapping.settings(), force)
     planned = _plan(found, missing, name, like)

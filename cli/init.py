@@ -10,29 +10,27 @@ from ..topology.errors import UsageError
 from ..topology.files import write_text
 from .journal import note
 from .options import (
-    DEFAULT_WORKSPACE,
     NAMES,
     FalseMergeRate,
-    WorkspaceOption,
+    Here,
+    MapOptions,
+    ReadOptions,
+    option,
     settings_text,
     told_settings,
     verb,
 )
 from .output import say_lines
-from .read_options import MapOptions, ReadOptions
-from .workspace import Workspace
 
 
 @verb
 def init(
     context: typer.Context,
-    workspace: WorkspaceOption = DEFAULT_WORKSPACE,
-    read: ReadOptions = ReadOptions(),  # noqa: B008 - frozen
-    mapping: MapOptions = MapOptions(),  # noqa: B008 - frozen
+    place: Here,
+    read: ReadOptions,
+    mapping: MapOptions,
     false_merge_rate: FalseMergeRate = None,
-    forget: Annotated[
-        bool, typer.Option("--forget", help="Forget what it remembered before.")
-    ] = False,
+    forget: Annotated[bool, option("--forget", "Forget what it remembered before.")] = False,
 ) -> None:
     """Have a workspace remember options, so that no call needs to repeat them.
 
@@ -44,7 +42,6 @@ def init(
       topobatch init --odometry-topic /odom --laser-pose 0.2,0,0
       topobatch init --false-merge-rate 0.0001
     """
-    place = Workspace(workspace)
     remembered = ("COMMANDLINE",) if forget else ("COMMANDLINE", "DEFAULT_MAP")
     given = {
         name: value

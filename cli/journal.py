@@ -7,12 +7,10 @@ import os
 from datetime import UTC, datetime
 from typing import Annotated, Any
 
-import typer
-
 from ..topology.errors import DataError
 from ..topology.files import read_bytes, write_text
 from ..topology.wording import counted
-from .options import DEFAULT_WORKSPACE, JsonOption, WorkspaceOption, verb
+from .options import Here, JsonOption, option, verb
 from .output import say, say_json, table, warn
 from .workspace import Workspace
 
@@ -52,12 +50,9 @@ def _entry(line: str) -> dict[str, Any] | None:
 
 @verb
 def history(
-    workspace: WorkspaceOption = DEFAULT_WORKSPACE,
+    place: Here,
     most: Annotated[
-        int,
-        typer.Option(
-            "--last", "-n", metavar="N", min=1, help="Number of entries to show, the latest."
-        ),
+        int, option("--last -n N", "Number of entries to show, the latest.", min=1)
     ] = 20,
     as_json: JsonOption = False,
 ) -> None:
@@ -68,7 +63,6 @@ def history(
     \b
       topobatch history --last 5
     """
-    place = Workspace(workspace)
     place.require()
     lines = _lines(place)
     known = [entry for line in lines if (entry := _entry(line)) is not None]

@@ -16,7 +16,7 @@ from ..merge.merged_schema import ComponentEntry, MergedDocument
 from ..topology.errors import DataError
 from ..topology.turning_points import KINDS
 from ..topology.wording import counted, utc
-from .options import DEFAULT_WORKSPACE, JsonOption, WorkspaceOption, verb
+from .options import Here, JsonOption, verb
 from .output import complain, say, say_json, table, warn
 from .unchanged import changed_since
 from .version import VERSION
@@ -48,10 +48,7 @@ class Listed:
 
 
 @verb
-def list_runs(
-    workspace: WorkspaceOption = DEFAULT_WORKSPACE,
-    as_json: JsonOption = False,
-) -> None:
+def list_runs(place: Here, as_json: JsonOption = False) -> None:
     """List the runs of the workspace, by site.
 
     The sites of the last merge, largest first, each with its junctions and corridors; their names
@@ -64,7 +61,6 @@ def list_runs(
       topobatch list
       topobatch list --json
     """
-    place = Workspace(workspace)
     merged = _last_merge(place)
     home = {run: c for c in merged.graph.components for run in c.runs} if merged else {}
     rows = [_listed(place, run, merged, home.get(run)) for run in place.runs()]

@@ -22,6 +22,7 @@ from ..merge.result import pairs_of
 from ..topology.errors import DataError, UsageError
 from ..topology.topomap import TopoMap
 from ..topology.wording import counted
+from .options import option
 from .output import complain, detail, progress, say, tell, warn
 from .process import processes
 from .workspace import Workspace
@@ -43,24 +44,21 @@ class MatchOptions:
     """Where pairs are matched."""
 
     jobs: Annotated[
-        int,
-        typer.Option(
-            "--jobs", "-j", metavar="N", min=0, help="Processes to match with; 0: one per core."
-        ),
+        int, option("--jobs -j N", "Processes to match with; 0: one per core.", min=0)
     ] = 0
     cluster: Annotated[
         str | None,
-        typer.Option(
-            metavar="ADDRESS",
-            help="Match on a Dask cluster, tcp://host:port, whose workers see the workspace under "
+        option(
+            "--cluster ADDRESS",
+            "Match on a Dask cluster, tcp://host:port, whose workers see the workspace under "
             "the same path; needs topobatch[cluster].",
         ),
     ] = None
     shard: Annotated[
         str | None,
-        typer.Option(
-            metavar="I/N",
-            help="With --all: only match the I-th of N shares of the pairs, for the cache; a last "
+        option(
+            "--shard I/N",
+            "With --all: only match the I-th of N shares of the pairs, for the cache; a last "
             "merge --all collects what all shares found.",
         ),
     ] = None

@@ -19,14 +19,15 @@ from .journal import note
 from .matching import MatchOptions, match_share, read_maps
 from .merges import made, sites_before
 from .options import (
-    DEFAULT_WORKSPACE,
     FalseMergeRate,
+    Here,
     JsonOption,
     QuietOption,
     VerboseOption,
-    WorkspaceOption,
+    argument,
     by_settings,
     complete_run,
+    option,
     verb,
 )
 from .output import detail, is_verbose, say, say_folded, say_json, show, warn
@@ -55,9 +56,10 @@ class MethodOptions:
 
     method: Annotated[
         Literal["robust", "paper"],
-        typer.Option(
-            help="robust: tolerant matching, evidence in bits, three verdicts; "
-            "paper: Huang & Beevers, section by section, for comparison."
+        option(
+            "--method",
+            "robust: tolerant matching, evidence in bits, three verdicts; "
+            "paper: Huang & Beevers, section by section, for comparison.",
         ),
     ] = "robust"
     false_merge_rate: FalseMergeRate = None
@@ -77,27 +79,23 @@ class MethodOptions:
 @verb
 def merge(
     runs: Annotated[
-        list[str] | None,
-        typer.Argument(metavar="RUN", help="Runs to merge, by name.", autocompletion=complete_run),
+        list[str] | None, argument("RUN", "Runs to merge, by name.", autocompletion=complete_run)
     ] = None,
-    everything: Annotated[
-        bool, typer.Option("--all", help="Merge every run of the workspace.")
-    ] = False,
-    workspace: WorkspaceOption = DEFAULT_WORKSPACE,
-    how: MethodOptions = MethodOptions(),
+    everything: Annotated[bool, option("--all", "Merge every run of the workspace.")] = False,
+    *,
+    place: Here,
+    how: MethodOptions,
     output: Annotated[
         str | None,
-        typer.Option(
-            metavar="NAME",
-            help="Write NAME.json and NAME.rrd instead of merged.json and merged.rrd.",
+        option(
+            "--output NAME", "Write NAME.json and NAME.rrd instead of merged.json and merged.rrd."
         ),
     ] = None,
     replace_last: Annotated[
-        bool,
-        typer.Option("--replace", help="Overwrite a merge of runs that this one leaves out."),
+        bool, option("--replace", "Overwrite a merge of runs that this one leaves out.")
     ] = False,
-    paper: PaperOptions = PaperOptions(),  # noqa: B008 - frozen
-    where: MatchOptions = MatchOptions(),  # noqa: B008 - frozen
+    paper: PaperOptions,
+    where: MatchOptions,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
     verbose: VerboseOption = False,
@@ -117,8 +115,8 @@ def merge(
       topobatch merge run1 run2 --output two
     """
     show(quiet=quiet or as_json, verbose=verbose)
-    place = Workspace(workspace, MERGED if output is None else output)
     if output is not None:
+        place = Workspace(place.root, output)
         place.check_merge()
     if how.method == "robust":
         paper.refuse()

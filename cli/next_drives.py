@@ -6,8 +6,6 @@ from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from ..merge.drive import Drive, drive_to_document
 from ..merge.drives import drives, never_driven
 from ..merge.result import MergeResult, Standing
@@ -15,9 +13,9 @@ from ..topology.errors import UsageError
 from ..topology.wording import counted, listed
 from ..viz.exports.drives import drives_csv, drives_geojson
 from .draw import quiet_fonts, walled
-from .options import DEFAULT_WORKSPACE, JsonOption, MergeOption, WorkspaceOption, verb
+from .options import HereWithMerge, JsonOption, argument, option, verb
 from .output import checked_output, folded, say, say_folded, say_json, write_files
-from .workspace import MERGED, Workspace
+from .workspace import Workspace
 
 PLANS, PICTURES = (".csv", ".geojson"), (".svg", ".png")
 """Suffixes of files of waypoints, and of pictures."""
@@ -29,28 +27,20 @@ MOST_JUNCTIONS = 12
 @verb
 def next_drives(
     site: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="SITE",
-            help="Only drives that begin at this site, or join it.",
-        ),
+        str | None, argument("SITE", "Only drives that begin at this site, or join it.")
     ] = None,
-    most: Annotated[
-        int, typer.Option("--drives", "-n", metavar="N", min=1, help="How many drives to list.")
-    ] = 5,
+    most: Annotated[int, option("--drives -n N", "How many drives to list.", min=1)] = 5,
     output: Annotated[
         list[Path] | None,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="FILE",
-            help="Also write the plan there: a picture (.svg, .png), or its waypoints (.csv, "
+        option(
+            "--output -o FILE",
+            "Also write the plan there: a picture (.svg, .png), or its waypoints (.csv, "
             ".geojson); may be given several times.",
         ),
     ] = None,
-    merge: MergeOption = MERGED,
+    *,
+    place: HereWithMerge,
     as_json: JsonOption = False,
-    workspace: WorkspaceOption = DEFAULT_WORKSPACE,
 ) -> None:
     """Tell what to record next, so that more runs come together.
 
@@ -69,7 +59,6 @@ def next_drives(
     for path in output or ():
         if checked_output(path).suffix.lower() not in PLANS + PICTURES:
             raise UsageError(f"{path}: a plan's name ends in .svg, .png, .csv or .geojson")
-    place = Workspace(workspace, merge)
     result = place.read_result()
     names = {c.name: c.id for c in result.components}
     if site is not None and site not in names:

@@ -9,49 +9,78 @@ from __future__ import annotations
 import json
 import os
 import tomllib
-from collections.abc import Callable, Mapping
-from dataclasses import fields, is_dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields, is_dataclass
 from difflib import get_close_matches
 from functools import wraps
-from inspect import Parameter, Signature, signature
+from inspect import Parameter, Signature, isfunction, signature
 from pathlib import Path
-from typing import Annotated, Any, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_type_hints
 
 import typer
 from typer.exceptions import TyperException
 
-from ..topology.errors import DocumentError, TopobatchError
+from ..ingest.remote.path import LogPath, log_path
+from ..topology.errors import DocumentError, LogError, TopobatchError, UsageError
 from ..topology.files import read_bytes
-from .read_options import MapOptions, ReadOptions
-from .workspace import USUAL, Workspace
+from .output import warn
+from .workspace import MERGED, USUAL, Workspace
+
+if TYPE_CHECKING:  # what takes a second to load
+    from ..ingest.mapping_settings import MappingSettings
+    from ..ingest.reading import ReadSettings
 
 Command = Callable[..., None]
 
 
 def verb(command: Command) -> Command:
-    """The command with the fields of parameters that are dataclasses in place of these, as typer
-    takes them: each an option, annotated and with its default."""
+    """The command as typer takes it: in place of a parameter that is made of several options, a
+    dataclass or annotated with the function that makes it, these: each annotated and with its
+    default."""
     hints = get_type_hints(command, include_extras=True)
-    groups: dict[str, Any] = {k: hint for k, hint in hints.items() if is_dataclass(hint)}
+    made = {name: _maker(hint) for name, hint in hints.items()}
 
     @wraps(command)
     def called(**given: Any) -> None:
-        for name, group in groups.items():
-            given[name] = group(**{field.name: given.pop(field.name) for field in fields(group)})
+        for name, maker in made.items():
+            if maker is not None:
+                options = {own: given.pop(own) for own in signature(maker).parameters}
+                given[name] = maker(**options)
         command(**given)
 
     parameters = []
     for name, own in signature(command).parameters.items():
-        kinds = get_type_hints(groups.get(name, object), include_extras=True)
-        for field in fields(groups[name]) if name in groups else ():
-            kind, default = kinds[field.name], field.default
-            one = Parameter(field.name, Parameter.KEYWORD_ONLY, default=default, annotation=kind)
-            parameters.append(one)
-        if name not in groups:
-            parameters.append(own.replace(kind=Parameter.KEYWORD_ONLY, annotation=hints[name]))
+        maker = made[name]
+        several = {name: own} if maker is None else signature(maker).parameters
+        kinds = hints if maker is None else get_type_hints(maker, include_extras=True)
+        parameters += [
+            each.replace(kind=Parameter.KEYWORD_ONLY, annotation=kinds[own_name])
+            for own_name, each in several.items()
+        ]
     called.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
     called.__annotations__ = {each.name: each.annotation for each in parameters}
     return called
+
+
+def _maker(hint: Any) -> Callable[..., Any] | None:
+    """What makes a parameter of several options; None if it is an option itself."""
+    if is_dataclass(hint):
+        return hint  # type: ignore[return-value]
+    return next(filter(isfunction, getattr(hint, "__metadata__", ())), None)
+
+
+def option(shown: str, text: str, **more: Any) -> Any:
+    """An option as `--help` shows it: its names and what its value is called ("--last -n N"), and
+    what it is for; more: of `typer.Option`."""
+    words = shown.split()
+    names = [word for word in words if word.startswith("-")]
+    value = " ".join(words[len(names) :]) or None
+    return typer.Option(*names, metavar=value, help=text, **more)
+
+
+def argument(shown: str, text: str, **more: Any) -> Any:
+    """An argument, likewise."""
+    return typer.Argument(metavar=shown, help=text, **more)
 
 
 def _with_settings(context: typer.Context, workspace: Path) -> Path:
@@ -74,62 +103,216 @@ def _with_settings(context: typer.Context, workspace: Path) -> Path:
 
 WorkspaceOption = Annotated[
     Path,
-    typer.Option(
-        "--workspace",
-        "-w",
+    option(
+        "--workspace -w",
+        "Folder of the results.",
         envvar="TOPOBATCH_WORKSPACE",
-        help="Folder of the results.",
         file_okay=False,
         is_eager=True,
         callback=_with_settings,
     ),
 ]
-DEFAULT_WORKSPACE = USUAL
 
-QuietOption = Annotated[
-    bool, typer.Option("--quiet", "-q", help="Show errors only: no progress, no summary.")
-]
+MergeOption = Annotated[str, option("--merge NAME", "The merge to use, by its --output NAME.")]
 
-MergeOption = Annotated[
-    str,
-    typer.Option("--merge", metavar="NAME", help="The merge to use, by its --output NAME."),
-]
+
+def _place(workspace: WorkspaceOption = USUAL) -> Workspace:
+    return Workspace(workspace)
+
+
+def _place_of_merge(workspace: WorkspaceOption = USUAL, merge: MergeOption = MERGED) -> Workspace:
+    return Workspace(workspace, merge)
+
+
+Here = Annotated[Workspace, _place]
+HereWithMerge = Annotated[Workspace, _place_of_merge]
+"""The workspace that a command is about, with one of its merges."""
+
+QuietOption = Annotated[bool, option("--quiet -q", "Show errors only: no progress, no summary.")]
 
 SiteOption = Annotated[
-    str | None,
-    typer.Option(
-        "--site", metavar="NAME", help="Only this site of the merged map (topobatch list)."
-    ),
+    str | None, option("--site NAME", "Only this site of the merged map (topobatch list).")
 ]
 
 ComponentOption = Annotated[
     int | None,
-    typer.Option(metavar="N", min=0, help="Only this component of the merged map, by its number."),
+    option("--component N", "Only this component of the merged map, by its number.", min=0),
 ]
 
 FalseMergeRate = Annotated[
     float | None,
-    typer.Option(
-        metavar="SHARE",
+    option(
+        "--false-merge-rate SHARE",
+        "Share of batches that may hold any false merge; default 0.001.",
         min=1e-9,
         max=0.5,
-        help="Share of batches that may hold any false merge; default 0.001.",
     ),
 ]
 
-JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+JsonOption = Annotated[bool, option("--json", "Print JSON.")]
 
-VerboseOption = Annotated[bool, typer.Option("--verbose", "-v", help="Print what is being done.")]
+VerboseOption = Annotated[bool, option("--verbose -v", "Print what is being done.")]
 
 
 def complete_run(ctx: typer.Context, incomplete: str) -> list[str]:
     """Runs of the workspace with this prefix, for shell completion."""
     named = ctx.params.get("workspace") or os.environ.get("TOPOBATCH_WORKSPACE")
     try:
-        runs = Workspace(Path(named or DEFAULT_WORKSPACE)).runs()
+        runs = Workspace(Path(named or USUAL)).runs()
     except (TopobatchError, OSError):
         return []
     return [run for run in runs if run.startswith(incomplete) and run.isprintable()]
+
+
+@dataclass(frozen=True, slots=True)
+class ReadOptions:
+    """Which logs are read, and how."""
+
+    odometry_topic: Annotated[
+        str | None,
+        option(
+            "--odometry-topic TOPIC",
+            "Odometry topic; default: the only one of the best known type, else /odom.",
+        ),
+    ] = None
+    junction_topic: Annotated[
+        str | None,
+        option(
+            "--junction-topic TOPIC",
+            "Junction detections; default: /junctions, else the only PoseArray topic.",
+        ),
+    ] = None
+    junction_fields: Annotated[
+        str | None,
+        option(
+            "--junction-fields MAPPING",
+            "How to read junctions from messages of another type, for instance "
+            '"center=middle,branches=ways[].angle"; see docs/detections.md.',
+        ),
+    ] = None
+    junctions_from: Annotated[
+        Literal["topic", "scan", "cloud", "grid"] | None,
+        option(
+            "--junctions-from",
+            "Where junctions come from: detections on a topic, or found in laser scans, "
+            "clouds of points (sliced at the sensor's height), or the last occupancy grid; "
+            "default: the first of these that the log has.",
+        ),
+    ] = None
+    scan_topic: Annotated[
+        str | None,
+        option(
+            "--scan-topic TOPIC",
+            "Scans, clouds or grid to find junctions in; default: all lasers; else /points or "
+            "/map, or the topic of its type with most messages.",
+        ),
+    ] = None
+    laser_pose: Annotated[
+        str | None,
+        option(
+            "--laser-pose X,Y,YAW",
+            "Pose of the laser on the robot, in metres and radians; default: from /tf_static "
+            "or /tf, else at the robot's centre, in the direction that its scans show, or ahead.",
+        ),
+    ] = None
+    scan_stamp: Annotated[
+        Literal["begin", "middle", "end"],
+        option(
+            "--scan-stamp",
+            "Which beam of a sweep a scan's time stamp refers to. In ROS it is the first; "
+            "some drivers stamp a scan when it is finished.",
+        ),
+    ] = "begin"
+    cloud_band: Annotated[
+        str | None,
+        option(
+            "--cloud-band LOW,HIGH",
+            "Heights in the robot's frame between which points of a cloud are walls, in "
+            "metres; default: 0.2 below to 0.2 above the sensor.",
+        ),
+    ] = None
+    base_frame: Annotated[
+        str | None,
+        option(
+            "--base-frame FRAME",
+            "The robot's frame, if a topic such as /tf holds the odometry of several robots.",
+        ),
+    ] = None
+    time: Annotated[
+        Literal["header", "log"],
+        option("--time", "Take times from message headers or from when the log received them."),
+    ] = "header"
+    separate: Annotated[
+        bool,
+        option(
+            "--separate",
+            "Take parts of a split recording (run_0.bag, run_1.bag) as runs of their own.",
+        ),
+    ] = False
+    allow_scan: Annotated[
+        bool,
+        option(
+            "--allow-scan", "Read remote logs without an index whole, instead of refusing them."
+        ),
+    ] = False
+
+    def settings(self, *, strict: bool = False) -> ReadSettings:
+        """The settings; UsageError for numbers that are none."""
+        from ..ingest.reading import ReadSettings
+        from ..ingest.scans.slicing import SliceSettings
+
+        finding = ("separate", "allow_scan", "laser_pose", "cloud_band")
+        plain = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in finding}
+        pose: Any = numbers(self.laser_pose, "--laser-pose", "x,y,yaw")
+        band: Any = numbers(self.cloud_band, "--cloud-band", "low,high")
+        return ReadSettings(laser_pose=pose, slices=SliceSettings(band), strict=strict, **plain)
+
+    def logs(self, named: Sequence[str]) -> tuple[list[LogPath], list[tuple[LogPath, LogError]]]:
+        """The logs at the named places, and the places without any, each with the reason. Warns of
+        logs that are to be unpacked first."""
+        from .run_logs import logs_of
+
+        places = [log_path(name, allow_scan=self.allow_scan) for name in named]
+        logs, missing, warnings = logs_of(places, separate=self.separate)
+        for each in warnings:
+            warn(each)
+        return logs, missing
+
+
+@dataclass(frozen=True, slots=True)
+class MapOptions:
+    """How a map is made of what was read."""
+
+    robot_radius: Annotated[
+        float,
+        option(
+            "--robot-radius METRES",
+            "Radius of the robot that has to fit through the corridors of a saved map or a grid.",
+        ),
+    ] = 0.25
+    closure: Annotated[
+        Literal["none", "full"],
+        option("--closure", "Whether to close loops: not at all, or by everything that is known."),
+    ] = "full"
+
+    def settings(self) -> MappingSettings:
+        """The settings."""
+        from ..ingest.mapping_settings import MappingSettings
+
+        return MappingSettings(closure=self.closure, robot_radius_m=self.robot_radius)
+
+
+def numbers(text: str | None, flag: str, names: str) -> tuple[float, ...] | None:
+    """Comma-separated numbers, None for None; UsageError unless they are as many as `names`."""
+    if text is None:
+        return None
+    try:
+        found = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        found = ()
+    if len(found) != len(names.split(",")):
+        raise UsageError(f"{flag} is {text!r}, expected {names}, as in {flag}=0.2,0,0"[:200])
+    return found
 
 
 NAMES = (

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import typer
-
 from ..topology.errors import UsageError
+from .options import option
 
 if TYPE_CHECKING:
     from ..merge.paper.method import PaperSettings
@@ -22,60 +21,63 @@ class PaperOptions:
 
     degree: Annotated[
         Literal["exact", "inexact"] | None,
-        typer.Option(
-            rich_help_panel=PANEL,
-            help="Must matched junctions have equally many branches (exact: a "
+        option(
+            "--degree",
+            "Must matched junctions have equally many branches (exact: a "
             "static world, the default), or may doors open and close, so that one may be missing "
             "(inexact)? (§2.1)",
+            rich_help_panel=PANEL,
         ),
     ] = None
     confidence: Annotated[
         float | None,
-        typer.Option(
-            metavar="P",
-            rich_help_panel=PANEL,
-            help="Probability that a correct match passes the comparison of its "
+        option(
+            "--confidence P",
+            "Probability that a correct match passes the comparison of its "
             "corridors' lengths; default 0.999. Closer to 1: fewer correct matches are rejected, "
             "but more agree by chance, so that each is weaker evidence.",
+            rich_help_panel=PANEL,
         ),
     ] = None
     confidence_of: Annotated[
         Literal["match", "corridor"] | None,
-        typer.Option(
-            rich_help_panel=PANEL,
-            help="What --confidence applies to. match, the default: all corridors "
+        option(
+            "--confidence-of",
+            "What --confidence applies to. match, the default: all corridors "
             "of a match together; corridor: each by itself, so that a correct match of k corridors "
             "passes with P ** k. As published: --confidence 0.95 --confidence-of corridor. (§5)",
+            rich_help_panel=PANEL,
         ),
     ] = None
     weights: Annotated[
         Literal["equal", "reweighted"] | None,
-        typer.Option(
-            rich_help_panel=PANEL,
-            help="Weights of matched junctions when one map is fitted to the "
+        option(
+            "--weights",
+            "Weights of matched junctions when one map is fitted to the "
             "other. equal, the default: all count alike, so that one far off shows a bad match; "
             "reweighted: junctions far off count less, for maps that are bent in places. (§3.1)",
+            rich_help_panel=PANEL,
         ),
     ] = None
     iterative: Annotated[
         bool | None,
-        typer.Option(
+        option(
             "--iterative/--once",
-            rich_help_panel=PANEL,
-            help="How matches are clustered. --once: by their own transforms, as "
+            "How matches are clustered. --once: by their own transforms, as "
             "published. --iterative: also matches of other transforms join, as those of few "
             "junctions may have, if the cluster's transform lays their junctions on each other; "
             "repeated until nothing changes. (§5)",
+            rich_help_panel=PANEL,
         ),
     ] = None
     met: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="RUN@TIME,RUN@TIME",
-            rich_help_panel=PANEL,
-            help="Two robots were near each other, each at a time of its own log: "
+        option(
+            "--met RUN@TIME,RUN@TIME",
+            "Two robots were near each other, each at a time of its own log: "
             "matches are grown from junctions near both only. In nanoseconds, or in seconds with a "
             "decimal point. May be given several times. (§4.2)",
+            rich_help_panel=PANEL,
         ),
     ] = None
 

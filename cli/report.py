@@ -22,7 +22,7 @@ from ..topology.topomap import TopoMap
 from ..topology.wording import counted
 from .matching import kept_results, settings_of
 from .next_drives import nothing_worth
-from .options import DEFAULT_WORKSPACE, MergeOption, WorkspaceOption, verb
+from .options import HereWithMerge, argument, verb
 from .output import Advance, begin, checked_output, complain, progress, say, write_files
 from .unchanged import changed_since, told_changed
 from .version import VERSION
@@ -41,11 +41,10 @@ STANDS_ON = ("numpy", "scipy", "pydantic", "rosbags", "bokeh", "rerun-sdk")
 @verb
 def report(
     out: Annotated[
-        Path | None,
-        typer.Argument(metavar="OUT.html", help="The page; default: report.html in the workspace."),
+        Path | None, argument("OUT.html", "The page; default: report.html in the workspace.")
     ] = None,
-    workspace: WorkspaceOption = DEFAULT_WORKSPACE,
-    merge: MergeOption = MERGED,
+    *,
+    place: HereWithMerge,
 ) -> None:
     """Write a page about all runs and their merge, for a browser.
 
@@ -58,11 +57,10 @@ def report(
       topobatch report
       topobatch report site.html
     """
-    place = Workspace(workspace, merge)
     page = place.root / "report.html" if out is None else checked_output(out)
     if page.suffix.lower() not in (".html", ".htm"):
         raise UsageError(f"{page}: a report's name ends in .html")
-    if merge != MERGED:
+    if place.merge != MERGED:
         place.require_merge()
     if not place.runs():
         raise place.no_maps()

@@ -5,19 +5,15 @@ from __future__ import annotations
 import json
 from typing import Annotated, Literal
 
-import typer
-
 from ..merge.merged_schema import MergedDocument
 from ..topology.map_schema import MapDocument
-from .options import verb
+from .options import argument, verb
 from .output import say_lines
 
 
 @verb
 def schema(
-    document: Annotated[
-        Literal["map", "merged"], typer.Argument(metavar="map|merged", help="Which document.")
-    ],
+    document: Annotated[Literal["map", "merged"], argument("map|merged", "Which document.")],
 ) -> None:
     """Print the JSON Schema of a document.
 

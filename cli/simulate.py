@@ -7,116 +7,101 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
-import typer
-
 from ..topology.errors import UsageError
 from ..topology.wording import counted
-from .options import QuietOption, verb
+from .options import QuietOption, argument, option, verb
 from .output import counting, progress, say, show
 
 
 @verb
 def simulate(
-    out: Annotated[
-        Path, typer.Argument(metavar="OUT", help="Folder to write; must be new or empty.")
-    ],
+    out: Annotated[Path, argument("OUT", "Folder to write; must be new or empty.")],
     world: Annotated[
         Literal["maze", "office", "organic", "city", "rows", "tiles"],
-        typer.Option(
-            help="Rectilinear maze, repetitive office floor, organic ways, city blocks, equal rows "
-            "of crops or racks, or tunnels of standard tiles that all such worlds share."
+        option(
+            "--world",
+            "Rectilinear maze, repetitive office floor, organic ways, city blocks, equal rows "
+            "of crops or racks, or tunnels of standard tiles that all such worlds share.",
         ),
     ] = "maze",
-    runs: Annotated[
-        int, typer.Option(metavar="N", min=1, max=10_000, help="Runs in the one world.")
-    ] = 3,
+    runs: Annotated[int, option("--runs N", "Runs in the one world.", min=1, max=10_000)] = 3,
     unrelated: Annotated[
-        int,
-        typer.Option(
-            metavar="N", min=0, max=10_000, help="Further runs, each in a world of its own."
-        ),
+        int, option("--unrelated N", "Further runs, each in a world of its own.", min=0, max=10_000)
     ] = 0,
     overlap: Annotated[
         float,
-        typer.Option(
-            metavar="SHARE",
+        option(
+            "--overlap SHARE",
+            "Share of its junctions that a run has in common with the previous one.",
             min=0.0,
             max=0.9,
-            help="Share of its junctions that a run has in common with the previous one.",
         ),
     ] = 0.4,
     junctions: Annotated[
         int,
-        typer.Option(
-            metavar="N",
+        option(
+            "--junctions N",
+            "Approximate number of junctions that a run visits.",
             min=5,
             max=100_000,
-            help="Approximate number of junctions that a run visits.",
         ),
     ] = 50,
     drift: Annotated[
-        Literal["none", "low", "mid", "high", "real"], typer.Option(help="Odometry's error.")
+        Literal["none", "low", "mid", "high", "real"], option("--drift", "Odometry's error.")
     ] = "mid",
     faults: Annotated[
         Literal["none", "mild", "harsh"],
-        typer.Option(help="How often junctions are missed, invented, or wrong about a branch."),
+        option("--faults", "How often junctions are missed, invented, or wrong about a branch."),
     ] = "mild",
     jumps: Annotated[
         int,
-        typer.Option(
-            metavar="N",
+        option(
+            "--jumps N",
+            "How often every run's odometry jumps, by 0.5 m and 30°, while the robot drives on.",
             min=0,
-            help="How often every run's odometry jumps, by 0.5 m and 30°, while the robot drives "
-            "on.",
         ),
     ] = 0,
     changes: Annotated[
         int,
-        typer.Option(
-            metavar="N",
+        option(
+            "--changes N",
+            "Corridors that close or open between runs; topobatch changes finds them.",
             min=0,
             max=10_000,
-            help="Corridors that close or open between runs; topobatch changes finds them.",
         ),
     ] = 0,
     days: Annotated[
         float | None,
-        typer.Option(
-            metavar="D",
+        option(
+            "--days D",
+            "Days from the first run to the last; default: two hours from each to the next.",
             min=0,
             max=10_000,
-            help="Days from the first run to the last; default: two hours from each to the next.",
         ),
     ] = None,
     laser: Annotated[
         bool,
-        typer.Option(
+        option(
             "--laser",
-            help="Write a laser's scans instead of junction detections: walls, doors that open "
+            "Write a laser's scans instead of junction detections: walls, doors that open "
             "and close, people walking, glass, as --faults says.",
         ),
     ] = False,
     detections: Annotated[
-        bool, typer.Option("--detections", help="With --laser: write the detections as well.")
+        bool, option("--detections", "With --laser: write the detections as well.")
     ] = False,
     formats: Annotated[
         list[str] | None,
-        typer.Option(
-            "--format",
-            metavar="FORMAT",
-            help="mcap, bag, db3 or ros2-mcap; given several times, they are dealt out to the "
+        option(
+            "--format FORMAT",
+            "mcap, bag, db3 or ros2-mcap; given several times, they are dealt out to the "
             "runs. Default: mcap.",
         ),
     ] = None,
-    seed: Annotated[
-        int,
-        typer.Option(metavar="N", min=0, help="The same seed writes the same messages."),
-    ] = 0,
+    seed: Annotated[int, option("--seed N", "The same seed writes the same messages.", min=0)] = 0,
     force: Annotated[
         bool,
-        typer.Option(
-            "--force", help="Write into a folder in use; logs of the same runs there are replaced."
-        ),
+        option("--force", "Write into a folder in use; logs of the same runs there are replaced."),
     ] = False,
     quiet: QuietOption = False,
 ) -> None:

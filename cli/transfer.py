@@ -31,14 +31,7 @@ from ..topology.errors import DataError, UsageError
 from ..topology.map_schema import FARTHEST_M
 from ..topology.se2 import wrap
 from ..topology.wording import quoted_formula
-from .options import (
-    DEFAULT_WORKSPACE,
-    MergeOption,
-    QuietOption,
-    WorkspaceOption,
-    complete_run,
-    verb,
-)
+from .options import HereWithMerge, QuietOption, argument, complete_run, option, verb
 from .output import checked_output, complain, say, say_text, show, write_files
 from .workspace import MERGED, Workspace
 
@@ -48,44 +41,32 @@ MOST_LINES = 20
 
 @verb
 def transfer(
-    places: Annotated[
-        Path,
-        typer.Argument(metavar="PLACES.csv", help="Table name,x,y[,theta]."),
-    ],
+    places: Annotated[Path, argument("PLACES.csv", "Table name,x,y[,theta].")],
     source: Annotated[
         str,
-        typer.Option(
-            "--from",
-            metavar="RUN",
-            help="The run in whose map the places are.",
-            autocompletion=complete_run,
-        ),
+        option("--from RUN", "The run in whose map the places are.", autocompletion=complete_run),
     ],
     target: Annotated[
         str,
-        typer.Option(
-            "--to",
-            metavar="RUN|SITE",
-            help="The run, or the site of --from (its name, or merged), to carry them to.",
+        option(
+            "--to RUN|SITE",
+            "The run, or the site of --from (its name, or merged), to carry them to.",
             autocompletion=complete_run,
         ),
     ],
     within: Annotated[
         float,
-        typer.Option(
-            metavar="METRES",
+        option(
+            "--within METRES",
+            "A place that may be off by more (95 % bound) is not carried.",
             min=0.01,
-            help="A place that may be off by more (95 % bound) is not carried.",
         ),
     ] = 0.5,
-    merge: MergeOption = MERGED,
     output: Annotated[
-        Path | None,
-        typer.Option(
-            "--output", "-o", metavar="FILE", help="File to write; default: -, the standard output."
-        ),
+        Path | None, option("--output -o FILE", "File to write; default: -, the standard output.")
     ] = None,
-    workspace: WorkspaceOption = DEFAULT_WORKSPACE,
+    *,
+    place: HereWithMerge,
     quiet: QuietOption = False,
 ) -> None:
     """Carry named places from one map to another.
@@ -101,7 +82,6 @@ def transfer(
       topobatch transfer docks.csv --from run1 --to merged --output site.csv
     """
     show(quiet=quiet)
-    place = Workspace(workspace, merge)
     out = None if output is None or str(output) == "-" else checked_output(output)
     columns, known = read_places(places)
     matched, why = _matched(place, source, target)

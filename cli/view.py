@@ -15,7 +15,7 @@ from urllib.parse import quote
 import typer
 
 from ..topology.errors import DataError, UsageError
-from .options import DEFAULT_WORKSPACE, WorkspaceOption, complete_run, verb
+from .options import Here, argument, complete_run, option, verb
 from .output import say
 from .workspace import MERGED, Workspace
 
@@ -27,27 +27,22 @@ HOST = "127.0.0.1"
 def view(
     what: Annotated[
         str,
-        typer.Argument(
-            metavar="[RUN]",
-            help="Run whose map to open, or the --output NAME of a merge; the merged map without.",
+        argument(
+            "[RUN]",
+            "Run whose map to open, or the --output NAME of a merge; the merged map without.",
             show_default=False,
             autocompletion=complete_run,
         ),
     ] = MERGED,
-    workspace: WorkspaceOption = DEFAULT_WORKSPACE,
+    *,
+    place: Here,
     web: Annotated[
-        bool,
-        typer.Option(
-            "--web", help="Serve the viewer to browsers of this machine instead, until Ctrl-C."
-        ),
+        bool, option("--web", "Serve the viewer to browsers of this machine instead, until Ctrl-C.")
     ] = False,
     port: Annotated[
         int,
-        typer.Option(
-            metavar="N",
-            min=1,
-            max=65534,
-            help="With --web: port of the page, N + 1 that of the data.",
+        option(
+            "--port N", "With --web: port of the page, N + 1 that of the data.", min=1, max=65534
         ),
     ] = 9090,
 ) -> None:
@@ -64,7 +59,6 @@ def view(
       topobatch view run1
       topobatch view --web
     """
-    place = Workspace(workspace)
     recording = _recording(place, what)
     screens = sys.platform in ("darwin", "win32")
     if web:

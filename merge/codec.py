@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
+from math import prod
 from typing import Any
 
 import numpy as np
@@ -40,7 +41,25 @@ def from_bytes(data: bytes, classes: Mapping[str, type]) -> Any:
     whether they are whole.
     """
     start = SIZE + int.from_bytes(data[:SIZE], "little")
-    return _Reader(data, start + -start % SIZE, classes).value(json.loads(data[SIZE:start]))
+    at = start + -start % SIZE  # where the next array begins
+
+    def value(form: Any) -> Any:
+        """The value of which `_taken_apart` made this form."""
+        nonlocal at
+        if not isinstance(form, list):
+            return form
+        what, *parts = form
+        if what == ARRAY:
+            dtype, *shape = parts
+            out = np.frombuffer(data, dtype, prod(shape), at).reshape(shape)
+            at += out.nbytes + -out.nbytes % SIZE
+            return out
+        if what == MAPPING:
+            return {key: value(part) for key, part in parts}
+        values = map(value, parts)
+        return classes[what](*values) if what else tuple(values)
+
+    return value(json.loads(data[SIZE:start]))
 
 
 def _taken_apart(value: object, arrays: list[NDArray[Any]]) -> object:
@@ -58,34 +77,3 @@ def _taken_apart(value: object, arrays: list[NDArray[Any]]) -> object:
         parts = (getattr(value, field.name) for field in fields(value))
         return [type(value).__name__, *(_taken_apart(part, arrays) for part in parts)]
     raise TypeError(f"{type(value).__name__} has no form in bytes")
-
-
-class _Reader:
-    """Reads a value whose arrays begin at a byte of the data."""
-
-    def __init__(self, data: bytes, start: int, classes: Mapping[str, type]) -> None:
-        self._data = data
-        self._at = start
-        self._classes = classes
-
-    def value(self, form: Any) -> Any:
-        """The value of which `_taken_apart` made this form."""
-        if not isinstance(form, list):
-            return form
-        what, *parts = form
-        if what == ARRAY:
-            return self._array(*parts)
-        if what == MAPPING:
-            return {key: self.value(part) for key, part in parts}
-        values = map(self.value, parts)
-        return self._classes[what](*values) if what else tuple(values)
-
-    def _array(self, dtype: str, *shape: int) -> NDArray[Any]:
-        """The next array of the data."""
-        kind = np.dtype(dtype)
-        count = 1
-        for size in shape:
-            count *= size
-        out = np.frombuffer(self._data, kind, count, self._at).reshape(shape)
-        self._at += out.nbytes + -out.nbytes % SIZE
-        return out

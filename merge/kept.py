@@ -11,15 +11,14 @@ import sqlite3
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, nullcontext
+from dataclasses import fields
 from enum import StrEnum
 from functools import cache
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from ..topology.ragged import Ragged
 from ..topology.topomap import TopoMap
+from .codec import to_bytes
 
 Key = tuple[bytes, bytes]
 """Digests of two maps, of a map twice, or of a component twice."""
@@ -200,30 +199,6 @@ def program_digest(*folders: str) -> bytes:
 
 def digest_of(topomap: TopoMap) -> bytes:
     """A 16-byte digest of a map's content, independent of the name of its run."""
-    parts: list[bytes] = []
-    for name, label in _CONTENT:
-        parts.append(label)
-        parts += _parts(getattr(topomap, name))
-    if len(topomap.views):
-        parts += [b"views:", *_parts(topomap.views.pose), *_parts(topomap.views.cells)]
-    return digested(*parts)
-
-
-_CONTENT = [
-    (name, f"{name}:".encode()) for name in TopoMap.__dataclass_fields__ if name not in NOT_CONTENT
-]
-
-
-def _parts(value: object) -> Iterator[bytes]:
-    """The bytes of a field of a map, with its type and shape."""
-    if isinstance(value, np.ndarray):
-        yield f"{value.dtype.str}{value.shape}".encode()
-        yield value.tobytes()
-    elif isinstance(value, tuple) and value and isinstance(value[0], np.ndarray):
-        yield str([*map(len, value)]).encode()
-        yield np.concatenate(value).tobytes()
-    elif isinstance(value, Ragged):
-        yield from _parts(value.offsets)
-        yield from _parts(np.asarray(value.values))
-    else:
-        yield repr(value).encode()
+    content = [getattr(topomap, f.name) for f in fields(topomap) if f.name not in NOT_CONTENT]
+    views = topomap.views
+    return digested(to_bytes([*content, *([views.pose, views.cells] if len(views) else [])]))

@@ -29,11 +29,7 @@ from .geometry import (
     strands,
 )
 from .pages import merge_page
-from .parts import (
-    Part,
-    colours_of,
-    lay_out,
-)
+from .parts import Part, colours_of, lay_out
 from .recording import (
     UP,
     PathParts,
@@ -134,15 +130,7 @@ def _run_names(
             x = left + NAMES_SHARE * (right - left)
             at += [(x, y) for y in np.linspace(high, low, MOST_NAMES + 2)[1 : len(own) + 1]]
     if runs:
-        recording.dots(
-            (FUSED, "names"),
-            at,
-            palette.Order.WORDS,
-            radii=0.0,
-            colors=[colours[run] for run in runs],
-            labels=runs,
-            show_labels=True,
-        )
+        recording.words((FUSED, "names"), at, runs, [colours[run] for run in runs])
 
 
 MOST_NAMES, NAMES_SHARE = 16, 0.1

@@ -69,6 +69,11 @@ class Recording:
         by component; look: of rerun's Points2D."""
         self.static(path, rr.Points2D(xy, draw_order=order, **look), *_any_values(values))
 
+    def words(self, path: PathParts, xy: Sequence[Any], texts: Sequence[str], colours: Any) -> None:
+        """Log texts at points (n, 2) without a time, in one colour or a colour each."""
+        look = {"radii": 0.0, "colors": colours, "labels": texts, "show_labels": True}
+        self.dots(path, xy, palette.Order.WORDS, **look)
+
     def lines(
         self,
         path: PathParts,
@@ -223,16 +228,8 @@ def write_cards(
         title = fitting(forms, int((x1 - x0) / seen_m * TITLE_LETTERS))
         shown += [(((x0 + x1) / 2, top), title)] if title else []
     if shown:
-        tops, words = zip(*shown, strict=True)
-        recording.dots(
-            (root, "titles"),
-            tops,
-            palette.Order.WORDS,
-            radii=0.0,
-            colors=palette.TITLE,
-            labels=words,
-            show_labels=True,
-        )
+        tops, titled = zip(*shown, strict=True)
+        recording.words((root, "titles"), tops, titled, palette.TITLE)
 
 
 def corridor_attributes(graph: Graph, edges: IntArray) -> dict[str, Any]:
