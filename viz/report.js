@@ -123,8 +123,8 @@ async function site(place) {
 const NEAR_PX = 12;
 
 // Pairs.
-const n = data.runs.length, pairs = new Map(data.pairs.map(p => [p.i * n + p.j, p]));
-const pair = (i, j) => pairs.get(Math.min(i, j) * n + Math.max(i, j));
+const n = data.runs.length, both = (i, j) => Math.min(i, j) * n + Math.max(i, j);
+const pairs = new Map(data.pairs.map(p => [both(p.i, p.j), p])), pair = (i, j) => pairs.get(both(i, j));
 function spelled(i, j) {
   const [a, b] = [data.runs[i], data.runs[j]], p = pair(i, j);
   if (i === j) return a.name;
@@ -198,9 +198,9 @@ async function open(i, j) {
   const alone = j === undefined || i === j;
   find("#run-a").value = i;
   if (find("#run-b")) find("#run-b").value = alone ? "" : j;
-  if (!alone && j < i) [i, j] = [j, i];
-  const [a, b] = [data.runs[i], alone ? null : data.runs[j]];
-  const p = alone ? null : pair(i, j), told = find("#pair-told"), call = words => `topobatch ${words} ${data.where}`.trim();
+  const p = alone ? null : pair(i, j);
+  if (p) [i, j] = [p.i, p.j];  // the second is placed in the first one's frame
+  const [a, b] = [data.runs[i], alone ? null : data.runs[j]], told = find("#pair-told"), call = words => `topobatch ${words} ${data.where}`.trim();
   find("#pair-title").textContent = alone ? a.name : spelled(i, j);
   const said = p?.told ?? (p ? [data.reasons[p.r], p.advice && `To settle it: ${p.advice}`] : []);
   const lines = [...said, p?.locked && `Decided by a person: ${p.locked}.`].filter(Boolean);
