@@ -79,7 +79,16 @@ _RUNS: tuple[tuple[Colour, str], ...] = (
     ((170, 215, 70), "#5c940d"),
     ((214, 178, 140), "#8d6748"),
 )
-"""Colours of runs, on dark and on light paper: ten that are easy to tell apart."""
+"""Colours of the first ten runs, on dark and on light paper: easy to tell apart."""
+
+_MORE = (
+    "#4b5a3c #784b5a #878769 #967896 #78a596 #695a00 #007869 #006900 #963c00 #b48778 "
+    "#ff4b00 #a5a54b #695a87 #3c5a5a #a50f5a #ff3cff #c396a5 #005a87 #69a5b4 #873c87 "
+    "#f08769 #966969 #695a5a #9696c3 #5a783c #874b3c #a56900 #c35a0f #784b00 #a59687"
+)
+"""Colours of further runs, on either paper: each farthest by CIEDE2000 from those before it and
+from _INKS (Glasbey et al. 2007), of those with a contrast of 2.5 on both: no two of all forty
+differ by less than 11.6; of the first ten two differ by 13.2."""
 
 
 _INKS = {
@@ -123,8 +132,8 @@ class Theme:
     runs: Sequence[str]
 
     def run(self, rank: int) -> str:
-        """The colour of a run by its rank among those drawn together, from 0; after ten they come
-        again."""
+        """The colour of a run by its rank among those drawn together, from 0; after forty they
+        come again."""
         return self.runs[rank % len(self.runs)]
 
     def pale(self, rank: int) -> str:
@@ -136,7 +145,11 @@ class Theme:
         return self.inks[ink]
 
 
-LIGHT = Theme({name: light for name, (light, _) in _INKS.items()}, [light for _, light in _RUNS])
+LIGHT = Theme(
+    {name: light for name, (light, _) in _INKS.items()},
+    [light for _, light in _RUNS] + _MORE.split(),
+)
 DARK = Theme(
-    {name: _hex(dark) for name, (_, dark) in _INKS.items()}, [_hex(dark) for dark, _ in _RUNS]
+    {name: _hex(dark) for name, (_, dark) in _INKS.items()},
+    [_hex(dark) for dark, _ in _RUNS] + _MORE.split(),
 )
