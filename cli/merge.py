@@ -280,7 +280,8 @@ def _weakest(result: MergeResult, runs: Collection[str]) -> str:
 
 
 def _next_steps(result: MergeResult, place: Workspace) -> Iterator[str]:
-    """What to do next: give names to sites that have none but a run's; record what joins more."""
+    """What to do next: give names to sites that have none but a run's; record what joins more;
+    read the report; export."""
     given = place.sites()
     for site in result.components:
         run = site.name.removeprefix("site-")
@@ -290,6 +291,9 @@ def _next_steps(result: MergeResult, place: Workspace) -> Iterator[str]:
     if open_ := result.standings()[Standing.AMBIGUOUS]:
         pairs = f"{counted(open_, 'pair')} {'is' if open_ == 1 else 'are'} open"
         yield f"{pairs}; what to record to settle most: {place.call('next', *place.of_merge)}"
+    if place.merge == MERGED:
+        page, graphs = place.call("report"), place.call("export", "--format", "nav2")
+        yield f"all on one page: {page}; route graphs: {graphs}"
 
 
 def _told(place: Workspace, result: MergeResult) -> dict[str, Any]:
