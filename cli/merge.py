@@ -282,12 +282,14 @@ def _weakest(result: MergeResult, runs: Collection[str]) -> str:
 def _next_steps(result: MergeResult, place: Workspace) -> Iterator[str]:
     """What to do next: give names to sites that have none but a run's; record what joins more;
     read the report; export."""
-    given = place.sites()
+    given, runs = place.sites(), []
     for site in result.components:
         run = site.name.removeprefix("site-")
         if site.name not in given and site.name != run and run in site.poses:
-            yield f"name a site: {place.call('site', run, 'NAME')}"
-            break
+            runs.append(run)
+    if runs:
+        words = [word for run in runs[:MOST_SITES] for word in (run, "NAME")]
+        yield f"name {'a site' if len(runs) == 1 else 'sites'}: {place.call('site', *words)}"
     if open_ := result.standings()[Standing.AMBIGUOUS]:
         pairs = f"{counted(open_, 'pair')} {'is' if open_ == 1 else 'are'} open"
         yield f"{pairs}; what to record to settle most: {place.call('next', *place.of_merge)}"
