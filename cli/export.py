@@ -17,7 +17,7 @@ from ..topology.odometry import Odometry
 from ..topology.topomap import TopoMap
 from ..topology.wording import listed
 from ..viz.exports import corrected_tum, map_texts, pose_graph_g2o, recorded_tum
-from .export_grid import PICTURE, Exported, grid_texts, log_of
+from .export_grid import PICTURE, Exported, grid_of_saved, grid_texts, log_of
 from .options import (
     ComponentOption,
     Here,
@@ -197,7 +197,8 @@ def _texts(
             elif form == "g2o":
                 files = {".g2o": _pose_graph(source)}
             else:
-                files = map_texts(source.topomap, form, tolerance)
+                walls = grid_of_saved(place, source)
+                files = map_texts(source.topomap, form, tolerance, walls)
         except DataError as error:
             if len(sources) == 1:
                 raise

@@ -82,6 +82,15 @@ def grid_texts(
     }
 
 
+def grid_of_saved(place: Workspace, source: Exported) -> Grid | None:
+    """The grid that `grid_texts` writes for a site of several saved maps, in which nothing but
+    their pictures has to be read; None of others."""
+    if len(source.maps) < 2 or any(len(m.observation_time_ns) for m in source.maps.values()):
+        return None
+    grid, _ = _grid(source, _Logs(place, source, None), lambda *_, **__: None)
+    return grid
+
+
 def log_of(place: Workspace, run: str, named: LogPath | None = None) -> LogPath:
     """The log that a run's map was made from, where a person named it or ingest read it. DataError
     if that is not recorded, or its content is another."""

@@ -105,7 +105,8 @@ app = typer.Typer(
     name="topobatch",
     cls=Commands,
     no_args_is_help=True,
-    epilog="Start with: topobatch ingest run1.mcap run2.bag; topobatch merge --all; topobatch view",
+    epilog="Start with: topobatch ingest run1.mcap run2.bag; topobatch merge --all; "
+    "topobatch report",
     **STYLE | {"add_completion": True},
 )
 for each, (_, summary) in COMMANDS.items():

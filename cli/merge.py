@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from ..merge.document import read_merged
+from ..merge.merged_schema import MergedDocument
 from ..merge.result import MergeResult, PairVerdict, Standing
 from ..merge.wording import describe_bits
 from ..topology.errors import DataError, DocumentError, UsageError
@@ -17,7 +18,7 @@ from ..topology.wording import counted, listed
 from ..viz.pages import describe_pairs
 from .journal import note
 from .matching import MatchOptions, match_share, read_maps
-from .merges import made, sites_before
+from .merges import last_merge, made
 from .options import (
     FalseMergeRate,
     Here,
@@ -142,13 +143,13 @@ def merge(
             result = place.read_result()
         else:
             settings = how.settings(paper)
-            before = {} if replace_last else _merged_before(place, chosen, everything)
+            last = None if replace_last else _merged_before(place, chosen, everything)
             maps, broken = read_maps(place, chosen)
+            before = {} if last is None else last.graph.home
             if lost := before.keys() & set(broken):
                 raise DataError(_leaves_out(place, before, lost, ", without a readable map"))
-            result, moved = made(
-                place, maps, documents, settings, before or sites_before(place), where
-            )
+            last = last or last_merge(place)
+            result, moved = made(place, maps, documents, settings, last, where)
             if not broken:
                 remember(place, state_of(place, documents, (how, paper)))
         runs_of = counted(sum(len(c.poses) for c in result.components), "run")
@@ -163,27 +164,27 @@ def merge(
         raise typer.Exit(1)
 
 
-def _merged_before(place: Workspace, chosen: list[str], everything: bool) -> dict[str, str]:
-    """The runs of the merge that will be overwritten, with their sites ("" without a name).
+def _merged_before(place: Workspace, chosen: list[str], everything: bool) -> MergedDocument | None:
+    """The merge that will be overwritten, if any.
 
     UsageError if it has others than the chosen ones, or if no merge is there but something else;
     that a merge of everything overwrites, except under a name of its own.
     """
     path = place.merged_json
     if not path.exists():
-        return {}
+        return None
     try:
-        graph = read_merged(path).graph
-        before = {run: graph.sites.get(run, "") for run in graph.home}
+        last = read_merged(path)
     except DocumentError as error:
         if not everything or place.merge != MERGED:
             raise UsageError(f"{error}; {OVERWRITE}") from error
         warn(f"{error}; it is overwritten")
-        return {}
+        return None
+    before = last.graph.home
     if lost := {run for run in before.keys() - set(chosen) if not _was_piece(place, run, chosen)}:
         why = ", without a map (their logs, ingested again, make them)" if everything else ""
         raise UsageError(_leaves_out(place, before, lost, why))
-    return before
+    return last
 
 
 def _leaves_out(place: Workspace, before: Collection[str], lost: set[str], why: str) -> str:
@@ -279,16 +280,22 @@ def _weakest(result: MergeResult, runs: Collection[str]) -> str:
 
 
 def _next_steps(result: MergeResult, place: Workspace) -> Iterator[str]:
-    """What to do next: give names to sites that have none but a run's; record what joins more."""
-    given = place.sites()
+    """What to do next: give names to sites that have none but a run's; record what joins more;
+    read the report; export."""
+    given, runs = place.sites(), []
     for site in result.components:
         run = site.name.removeprefix("site-")
         if site.name not in given and site.name != run and run in site.poses:
-            yield f"name a site: {place.call('site', run, 'NAME')}"
-            break
+            runs.append(run)
+    if runs:
+        words = [word for run in runs[:MOST_SITES] for word in (run, "NAME")]
+        yield f"name {'a site' if len(runs) == 1 else 'sites'}: {place.call('site', *words)}"
     if open_ := result.standings()[Standing.AMBIGUOUS]:
         pairs = f"{counted(open_, 'pair')} {'is' if open_ == 1 else 'are'} open"
         yield f"{pairs}; what to record to settle most: {place.call('next', *place.of_merge)}"
+    if place.merge == MERGED:
+        page, graphs = place.call("report"), place.call("export", "--format", "nav2")
+        yield f"all on one page: {page}; route graphs: {graphs}"
 
 
 def _told(place: Workspace, result: MergeResult) -> dict[str, Any]:

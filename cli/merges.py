@@ -6,9 +6,11 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from ..merge.document import read_merged, write_merged
+from ..merge.merged_schema import MergedDocument
 from ..merge.result import MergeResult, fused_of, pairs_of
 from ..merge.sites import Origin, SiteHistory, site_names
 from ..topology.errors import DataError, DocumentError
@@ -30,12 +32,14 @@ def made(
     maps: list[TopoMap],
     documents: Mapping[str, str | None],
     settings: MergeSettings,
-    before: Mapping[str, str],
+    last: MergedDocument | None,
     where: MatchOptions = MatchOptions(),  # noqa: B008 - frozen
+    new: Mapping[str, str] = MappingProxyType({}),
 ) -> tuple[MergeResult, list[str]]:
-    """Merge maps and write the files of the merge; and what became of the sites of the last one.
-    documents: the `contents` of the runs, by which later changes of maps are recognised; before:
-    the site of every run then. The caller holds the workspace's lock."""
+    """Merge maps and write the files of the merge; and what became of the sites of the last one and
+    of the numbers of their junctions. documents: the `contents` of the runs, by which later changes
+    of maps are recognised; new: new names of runs since the last merge. The caller holds the
+    workspace's lock."""
     from ..merge.merging import merge_maps
 
     runs = [m.run for m in maps]
@@ -46,7 +50,14 @@ def made(
         )
     if settings.method == "robust" and runs == place.runs():
         kept.settle()
+    # A run alone is a site of its own name, old or new.
+    sites = {} if last is None else last.graph.sites
+    before = {new.get(run, run): new.get(site, site) for run, site in sites.items()}
     result, moved = _with_sites(place, result, maps, before)
+    if last is not None and place.merged_json.exists():
+        now, then = fused_of(result.fused.members), fused_of([n.members for n in last.nodes])
+        if any(now.get((new.get(run, run), v), k) != k for (run, v), k in then.items()):
+            moved.append("junctions of sites have other numbers now; draw and export them again")
     merged = {run: documents[run] for run in runs}
     result = replace(result, info={**result.info, "maps": merged})
     _write(place, result, maps)
@@ -95,16 +106,12 @@ def _repeat(place: Workspace, affected: Collection[str], new: Mapping[str, str])
         return
     documents = contents(place, runs)
     maps, _ = read_maps(place, runs)
-    # A run alone is a site of its own name, old or new.
-    before = {new.get(run, run): new.get(site, site) for run, site in graph.sites.items()}
-    result, moved = made(place, maps, documents, _about(settings, new, runs), before)
+    about = _about(settings, new, runs)
+    result, moved = made(place, maps, documents, about, document, new=new)
     name = "" if place.merge == MERGED else f", {place.merge}"
     say(f"merged again{name}: {counted(len(maps), 'run')}, {describe_pairs(result)}")
     for each in moved:
         say(each)
-    now, then = fused_of(result.fused.members), fused_of([node.members for node in document.nodes])
-    if any(now.get((new.get(run, run), v), k) != k for (run, v), k in then.items()):
-        say("junctions of sites have other numbers now; draw and export them again")
 
 
 def _about(settings: MergeSettings, new: Mapping[str, str], runs: Collection[str]) -> MergeSettings:
@@ -138,16 +145,15 @@ def named_again(place: Workspace) -> None:
             _write(each, renamed, maps)
 
 
-def sites_before(place: Workspace) -> dict[str, str]:
-    """The site of every run in the last merge of this name; where there is none, in the usual one.
-    A document that cannot be read names none."""
+def last_merge(place: Workspace) -> MergedDocument | None:
+    """The last merge of this name; where there is none that can be read, the usual one."""
     for each in (place, Workspace(place.root)):
         try:
             if each.merged_json.is_file():
-                return read_merged(each.merged_json).graph.sites
+                return read_merged(each.merged_json)
         except DataError:
             continue  # who reads it for its own sake is told
-    return {}
+    return None
 
 
 def _with_sites(

@@ -72,7 +72,7 @@ def next_drives(
     if not found:
         for line in nothing_worth(result, shown, place):
             say_folded(line, indent="  ")
-    for line in _lines(found, result) if found else ():
+    for line in _lines(found, result, place) if found else ():
         say(line)
     for path in output or ():
         say(f"{path}")
@@ -82,10 +82,11 @@ def next_drives(
         say(f"on a map with numbers: {plan} (waypoints: plan.csv, plan.geojson)")
 
 
-def _lines(found: Sequence[Drive], result: MergeResult) -> list[str]:
+def _lines(found: Sequence[Drive], result: MergeResult, place: Workspace) -> list[str]:
     out = []
-    if not result.standings()[Standing.AMBIGUOUS]:
-        out.append("no pair is open; these drives lead to branches that nobody drove")
+    if all(drive.onto is None for drive in found):
+        why = _not_to_settle(result, place) or "no pair is open"
+        out += folded(f"{why}; these drives lead to branches that nobody drove", indent="  ")
     for k, drive in enumerate(found, 1):
         where, settles = drive.words
         expected = f"{drive.bits:.1f} bits expected, {drive.bits_per_m:.3f} a metre"
@@ -97,20 +98,13 @@ def _lines(found: Sequence[Drive], result: MergeResult) -> list[str]:
 
 def nothing_worth(result: MergeResult, shown: Collection[str], place: Workspace) -> list[str]:
     """That no drive is worth it, why, and where the maps of the sites shown are not complete."""
-    open_ = result.standings()[Standing.AMBIGUOUS]
     why = (
         "nothing to record would join sites: no pair of runs is open, and no drive into the "
         "unknown is expected to bring a bit of evidence"
     )
     if len(result.components) == 1:
         why = "there is one site: nothing is left to join"
-    if open_:
-        are = "is" if open_ == 1 else "are"
-        lock = place.call("lock", "A", "B", "--same")
-        why = (
-            f"{counted(open_, 'pair')} of runs {are} open, but no drive is likely to settle any: "
-            f"what it would find looks alike elsewhere; if you know: {lock}, or --never"
-        )
+    why = _not_to_settle(result, place) or why
     ways = {name: own for name, own in never_driven(result).items() if name in shown}
     if not ways:
         return [why, "every branch was driven"]
@@ -120,6 +114,18 @@ def nothing_worth(result: MergeResult, shown: Collection[str], place: Workspace)
         which = f": {listed([str(v) for v in own], len(own))}" if told else ""
         out.append(f"  {name}: {counted(len(own), 'junction')}{which}")
     return out
+
+
+def _not_to_settle(result: MergeResult, place: Workspace) -> str:
+    """That no drive settles the pairs that are open, and what does; "" if none is."""
+    open_ = result.standings()[Standing.AMBIGUOUS]
+    if not open_:
+        return ""
+    return (
+        f"{counted(open_, 'pair')} of runs {'is' if open_ == 1 else 'are'} open, but no drive is "
+        "likely to settle any: what it would find looks alike elsewhere; if you know: "
+        f"{place.call('lock', 'A', 'B', '--same')}, or --never"
+    )
 
 
 def _plan(

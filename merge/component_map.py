@@ -13,6 +13,7 @@ from ..topology.posegraph.graph import PoseGraph
 from ..topology.topomap import ALL_SURE, RunNoise, TopoMap
 from ..topology.track import by_begin
 from ..topology.turning_vertices import with_turning_points, without_turning_points
+from ..topology.views import NO_VIEWS, together
 from .fusion.joint_graph import settle, usual_scale
 from .fusion.vertex_partition import Pool
 from .result import (
@@ -24,6 +25,7 @@ from .result import (
     fused_of,
     graph_part,
     of_sites,
+    site_views,
 )
 
 
@@ -36,20 +38,22 @@ def component_map(
     """The fused map of one component, as the map of a run called `name` in a frame called `name`.
 
     maps: the maps of its runs, by name; with all of them, unchanged since the merge, the result has
-    the times of its traversals. `info["members"]` holds for every vertex and edge the vertices and
-    edges of the runs that it was fused from, `info["numbers"]` the vertices' numbers in the merge.
+    the times of its traversals, and their views. `info["members"]` holds for every vertex and edge
+    the vertices and edges of the runs that it was fused from, `info["numbers"]` the vertices'
+    numbers in the merge.
     Observations are those of all runs, by time. Raises ValueError if the component does not exist.
     """
     site, fused = _alone(result, component)
     seen = sorted((ns, v) for v, own in enumerate(fused.observations) for _, ns in own)
     time_ns, vertex = np.array(seen, np.int64).reshape(-1, 2).T
-    times, sure, noise = None, ALL_SURE, RunNoise()
+    times, sure, noise, views = None, ALL_SURE, RunNoise(), NO_VIEWS
     if maps is not None and not stale_runs(result, component, maps):
         whole = {run: with_turning_points(maps[run]) for run in sorted(site.poses)}
         times = _member_times(whole, fused)
         sure = fused_confidence(fused.members, whole)
         # Robots of one kind share systematic errors: their scales do not average out.
         noise = replace(noise, scale=usual_scale([maps[run] for run in site.poses]))
+        views = together(site_views(result.fused, site, maps))
     sigma = fused.position_sigma
     whole_map = TopoMap(
         run=name,
@@ -61,6 +65,7 @@ def component_map(
         traversal_ns=times,
         confidence=sure,
         noise=noise,
+        views=views,
         info={
             "numbers": tuple(np.flatnonzero(result.fused.component == component).tolist()),
             "members": {

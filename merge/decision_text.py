@@ -18,6 +18,7 @@ from ..topology.wording import listed as names_listed
 from .decision import AGAINST, LINKS, Decision, Placement, Term, TermKind
 from .locks import DISCARDED, discarded
 from .result import PairVerdict, Verdict, shown_bits
+from .robust.settings import MATCH
 from .wording import AGREES_BITS, decimals, describe_agreement
 
 WIDTH = 79
@@ -255,8 +256,10 @@ def _link(term: Term) -> Row:
 def needs(decision: Decision) -> str:
     """What the threshold is made of, and the other requirements."""
     need = decision.requirement
+    exact = need.pairs < 1 << MATCH.pair_digits
+    pairs = counted(need.pairs, "pair") if exact else f"pairs, rounded up to {need.pairs:,},"
     return (
-        f"log2({counted(need.pairs, 'pair')} / rate {need.false_merge_rate:g}), "
+        f"log2({pairs} / rate {need.false_merge_rate:g}), "
         f"{need.least_junctions} junctions, lead {need.lead_bits:g} bits"
     )
 

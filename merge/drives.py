@@ -8,8 +8,9 @@ needs. Where no pair is open, a drive leads into the unknown, by a branch that n
 shown as far as a corridor of usual length, as nobody knows what comes behind that. Either is
 expected to bring, for every junction of another site, as much evidence as the site's pairs have for
 each of theirs, times the probability that it gets there: that the placement is right, or that the
-branch leads to a site. So drives through a building that repeats itself come late: what they find
-is there twice. What is expected to bring hardly any evidence is not proposed.
+branch leads to a site. A building that repeats itself has more to tell that a place is no copy; a
+drive that would not reach it, by as much as its pairs have for each junction, is not proposed, nor
+one that is expected to bring hardly any evidence.
 """
 
 from __future__ import annotations
@@ -44,8 +45,7 @@ class DriveSettings:
     loses more than that (`benchmarks/next.py --spare`)."""
     most_junctions: int = 24
     """Junctions of each site that a drive passes at most: where a building repeats itself a
-    junction brings a fraction of a bit, and no drive is long enough. Of 48 teams offices alone
-    reach it, with drives of some 200 m."""
+    junction brings a fraction of a bit, and no drive is long enough."""
     beyond: float = 2.0
     """Corridors driven beyond a branch never driven for every junction that merging needs: other
     sites do not begin at once behind the last junction known. Of 13 such drives 8 join a site, with
@@ -156,10 +156,12 @@ def _joining(result: MergeResult, site: SiteOf, wanted: Collection[int]) -> Iter
         key = sorted((one, two), key=lambda c: (-len(c.poses), c.id))
         if one.id in wanted or two.id in wanted:
             between.setdefault((key[0].id, key[1].id), []).append(pair)
-    members = fused_of(result.fused.members)
+    members, placed = fused_of(result.fused.members), _placed(result)
     likely = {key: max((_right(p), p.evidence_bits) for p in own) for key, own in between.items()}
     order = sorted(between, key=lambda key: (-likely[key][0], -likely[key][1], key))
     for s, t in order[: DRIVES.most_planned]:
+        if not (_tells_copies(placed[s]) and _tells_copies(placed[t])):
+            continue
         pairs = between[s, t]
         drive = _joining_drive(site(s), site(t), pairs, home, members=members, result=result)
         if drive is not None:
@@ -180,6 +182,29 @@ def _right(pair: PairVerdict) -> float:
     others = 0.0 if pair.runner_up is None else 2.0 ** min(pair.runner_up.evidence_bits, 500.0)
     odds = 2.0 ** min(pair.best.evidence_bits, 500.0)
     return float(odds / (1.0 + odds + others) * same / (1.0 + same))
+
+
+def _placed(result: MergeResult) -> dict[int, list[PairVerdict]]:
+    """The pairs with a placement of the runs of each component."""
+    home = {run: c.id for c in result.components for run in c.poses}
+    out: dict[int, list[PairVerdict]] = {c.id: [] for c in result.components}
+    for pair in result.verdicts:
+        if pair.best is not None:
+            for c in {home[run] for run in (pair.a, pair.b) if run in home}:
+                out[c].append(pair)
+    return out
+
+
+def _tells_copies(known: Iterable[PairVerdict]) -> bool:
+    """Whether a run by `most_junctions`, without the spare ones, would tell its place from a copy,
+    with as much evidence for each as all known pairs of a site together have; True where that is no
+    question."""
+    bits, junctions, needed = 0.0, 0, 0.0
+    for pair in known:
+        if pair.best is not None and (test := pair.best.copy_test) is not None:
+            bits, junctions = bits + max(test.bits, 0.0), junctions + len(pair.best.matched)
+            needed = max(needed, test.needed_bits)
+    return bits * (DRIVES.most_junctions - DRIVES.spare_junctions) >= needed * junctions
 
 
 def _per_junction(pairs: Iterable[PairVerdict]) -> float:
@@ -383,23 +408,19 @@ def _exploring(result: MergeResult, site_of: SiteOf, wanted: Collection[int]) ->
     need = _needed_junctions(result, MATCH.junction_bits)
     free = ~driven_branches(result.fused)
     owner, heading = result.fused.branches.owner, result.fused.branches.values
-    pairs: dict[int, list[PairVerdict]] = {}
-    home = {run: c.id for c in result.components for run in c.poses}
-    for pair in result.verdicts:
-        if pair.best is not None:
-            for c in {home.get(pair.a, -1), home.get(pair.b, -1)}:
-                pairs.setdefault(c, []).append(pair)
+    pairs = _placed(result)
     order = sorted((-len(c.poses), c.id) for c in result.components if c.id in wanted)
     for site in (site_of(c) for _, c in order[: DRIVES.most_planned]):
         rows = np.flatnonzero(free & np.isin(owner, site.ids))
-        if not len(rows) or not site.ways:
+        known = pairs[site.component]
+        if not len(rows) or not site.ways or not _tells_copies(known):
             continue
         corridors = np.concatenate([path for _, path in site.ways.values()])
         ways_m = DRIVES.straight_corridors * site.usual_m
         at = result.fused.xy[owner[rows]]
         open_ = _unobstructed(at, heading[rows], ways_m, corridors, site.usual_m / 2)
         k = int(open_.argmax())
-        bits = share * _per_junction(pairs.get(site.component, ())) * need * float(open_[k])
+        bits = share * _per_junction(known) * need * float(open_[k])
         place, towards = site.row[int(owner[rows[k]])], float(heading[rows[k]])
         yield _exploring_drive(site, place, towards, need, bits)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -67,6 +68,12 @@ class Views:
 
 NO_VIEWS = Views(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, SIDE, SIDE), np.uint8))
 """Of runs without a laser."""
+
+
+def together(views: Sequence[Views]) -> Views:
+    """Views of several runs, posed in one frame, as those of one."""
+    columns = [[v.time_ns, v.pose, v.cells] for v in (NO_VIEWS, *views)]
+    return Views(*map(np.concatenate, zip(*columns, strict=True)))
 
 
 def view_cells(hit: IntArray, free: IntArray) -> NDArray[np.uint8]:

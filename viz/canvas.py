@@ -31,6 +31,7 @@ from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 from ..merge.decision_text import short
 from ..topology.arrays import FloatArray
 from ..topology.run import Grid
+from ..topology.se2 import apply
 from ..topology.wording import legible
 from .geometry import Marker
 from .palette import Order, Theme
@@ -53,6 +54,10 @@ LETTER = 0.62
 
 TALLEST = 1.6
 """Largest ratio of height to width of the drawing; a taller one is scaled down to it."""
+
+TURNS = np.radians([0, 45, -45, 90, -90, 135, -135, 180])
+FARTHER = (1.0, 1.5, 2.0)
+"""By how much a text is turned round what it names, and moved away from it, off other texts."""
 
 MOST_TOLD = 3000
 """More corridors or junctions than this are drawn in one piece, without tooltips."""
@@ -97,6 +102,7 @@ class Canvas:
     _titles: dict[str, str] = field(init=False, default_factory=dict)
     _marks: dict[str, Line2D] = field(init=False, default_factory=dict)
     _runs: list[tuple[str, Line2D | None]] = field(init=False, default_factory=list)
+    _written: list[FloatArray] = field(init=False, default_factory=list)
 
     def __post_init__(self) -> None:
         # The figure is the drawing; the page is what holds it with all texts around it.
@@ -220,11 +226,29 @@ class Canvas:
         self._axes.set(xlim=(self.low[0], self.high[0]), ylim=(self.low[1], self.high[1]))
 
     def words(
-        self, at: FloatArray, text: str, *, size_pt: float = TEXT_PT, bold: bool = False
+        self,
+        at: FloatArray,
+        text: str,
+        *,
+        size_pt: float = TEXT_PT,
+        bold: bool = False,
+        of: FloatArray | None = None,
     ) -> None:
-        """Write a text centred at a point (2,) [m]."""
+        """Write a text centred at a point (2,) [m]. of: the point (2,) that it names, round which
+        and away from which it is moved off other words."""
+        text = legible(text)
+        half = np.array([LETTER * (len(text) + 0.5), 1.2]) * size_pt / (2 * self.points_per_m)
+        places = [at]
+        if of is not None:
+            around = [apply(np.array([0.0, 0.0, turn]), at - of) for turn in TURNS]
+            places = [of + far * aside for far in FARTHER for aside in around]
+        written = np.reshape(self._written, (-1, 4))
+        off = np.abs(np.array(places)[:, None] - written[:, :2]) - half - written[:, 2:]
+        over = np.maximum(-off.max(axis=-1), 0.0).sum(axis=1)
+        at = places[int(over.argmin())]
+        self._written.append(np.concatenate([at, half]))
         self._axes.text(
-            *at.tolist(), legible(text), ha="center", va="center", **self._font(size_pt, bold=bold)
+            *at.tolist(), text, ha="center", va="center", **self._font(size_pt, bold=bold)
         )
 
     def _font(self, size_pt: float = TEXT_PT, *, bold: bool = False) -> dict[str, Any]:

@@ -166,7 +166,8 @@ def _numbered(canvas: Canvas, m: Graph, T: FloatArray, junctions: Iterable[int])
             k = int(gaps.argmax())
             middle = heading[k] + gaps[k] / 2
         aside = away_m * np.array([np.cos(middle), np.sin(middle)])
-        canvas.words(apply(T, m.xy[i]) + aside, str(i), size_pt=SMALL_PT)
+        at = apply(T, m.xy[i])
+        canvas.words(at + aside, str(i), size_pt=SMALL_PT, of=at)
 
 
 def draw_merged(
@@ -300,12 +301,13 @@ def _drives(canvas: Canvas, part: Part, drives: Sequence[Drive]) -> None:
         begins.setdefault(drive.stops[0].xy, []).append(str(k))
         others = {s.xy: s.junction for s in drive.stops if s.site != drive.site}
         for xy, junction in others.items():
-            at = apply(T, np.array(xy)) + away_m * np.array([-1.0, 0.5])
-            canvas.words(at, str(junction), size_pt=SMALL_PT)
+            at = apply(T, np.array(xy))
+            aside = away_m * np.array([-1.0, 0.5])
+            canvas.words(at + aside, str(junction), size_pt=SMALL_PT, of=at)
     for xy, numbers in begins.items():
         at = apply(T, np.array(xy))
         canvas.dots(at[None], canvas.theme["unexplored"], 2 * DRIVE_PT, order=Order.RING, ring=True)
-        canvas.words(at + np.array([0.0, away_m]), ", ".join(numbers), bold=True)
+        canvas.words(at + np.array([0.0, away_m]), ", ".join(numbers), bold=True, of=at)
 
 
 def _changes(canvas: Canvas, fused: FusedMap, part: Part, changes: Sequence[Change]) -> None:
@@ -319,7 +321,7 @@ def _changes(canvas: Canvas, fused: FusedMap, part: Part, changes: Sequence[Chan
         at, tips = apply(T, np.array(change.xy)), [f"change {k}"]
         canvas.lines(path, colour, CHANGE_PT, order=Order.EVIDENCE, tips=tips, key=key)
         canvas.dots(at[None], colour, 2 * DRIVE_PT, order=Order.RING, ring=True, key=key)
-        canvas.words(at + aside, str(k), bold=True)
+        canvas.words(at + aside, str(k), bold=True, of=at)
 
 
 def sheet_canvas(cells: Sequence[Cell], theme: Theme, width_pt: float, name: str) -> Canvas:

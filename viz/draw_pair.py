@@ -215,7 +215,7 @@ def _numbers(
             rows -= {*matched}
         aside = 7.0 / canvas.points_per_m * np.array([side, -side])
         for v in sorted(rows) if len(rows) <= MOST_NUMBERED else ():
-            canvas.words(at[k][v] + aside, str(v), size_pt=SMALL_PT)
+            canvas.words(at[k][v] + aside, str(v), size_pt=SMALL_PT, of=at[k][v])
 
 
 def _describe_term(term: Term, digits: int) -> str:

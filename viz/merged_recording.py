@@ -65,7 +65,8 @@ def write_merged_recording(path: Path, result: MergeResult, maps: Sequence[TopoM
 
     def fill(recording: Recording) -> rrb.Blueprint:
         walls = _walls_by_component(result, by_name)
-        parts = lay_out(result, {c: wall_points(grid) for c, grid in walls.items()})
+        to_hold = {c: wall_points(grid) for c, grid in walls.items()}
+        parts = lay_out(result, to_hold, aside=NAMES_ASIDE)
         sheet = [part.cell for part in parts]
         for root in (FUSED, RUNS):
             recording.static((root,), UP)
@@ -128,13 +129,14 @@ def _run_names(
         if 1 < len(own) <= MOST_NAMES:
             runs += own
             x = left + NAMES_SHARE * (right - left)
-            at += [(x, y) for y in np.linspace(high, low, MOST_NAMES + 2)[1 : len(own) + 1]]
+            at += [(x, y) for y in np.linspace(high, low, len(own) + 2)[1:-1]]
     if runs:
         recording.words((FUSED, "names"), at, runs, [colours[run] for run in runs])
 
 
-MOST_NAMES, NAMES_SHARE = 16, 0.1
-"""Sites of up to so many runs have these named, at this share of their width."""
+MOST_NAMES, NAMES_ASIDE, NAMES_SHARE = 16, 0.15, 0.1
+"""Sites of up to so many runs have these named: room for that, over the width of their map, and
+where in their cell, over its width."""
 
 
 MOST_VIEWS = 5000

@@ -79,7 +79,17 @@ _RUNS: tuple[tuple[Colour, str], ...] = (
     ((170, 215, 70), "#5c940d"),
     ((214, 178, 140), "#8d6748"),
 )
-"""Colours of runs, on dark and on light paper: ten that are easy to tell apart."""
+"""Colours of the first ten runs, on dark and on light paper: easy to tell apart."""
+
+_MORE = (
+    "#4b5a2d #c396a5 #694b78 #96a587 #00695a #ff785a #963c00 #874b4b #785a00 #9687c3 "
+    "#006900 #00a5d2 #5aa596 #e178f0 #a5a54b #3c5a5a #a52d5a #f03c00 #ff7896 #695a5a "
+    "#968778 #b47869 #697800 #a56996 #695a3c #962d96 #0f6987 #b4692d #5a5aa5 #4b785a"
+)
+"""Colours of further runs on light paper; on dark they are a quarter nearer to white. Each is
+farthest by CIEDE2000 on either paper from those before it and from _INKS (Glasbey et al. 2007), of
+those with a contrast of 2.5 on both papers, on dark 4.5: no two of all forty differ by less than
+10.5; of the first ten two differ by 13.2."""
 
 
 _INKS = {
@@ -123,8 +133,8 @@ class Theme:
     runs: Sequence[str]
 
     def run(self, rank: int) -> str:
-        """The colour of a run by its rank among those drawn together, from 0; after ten they come
-        again."""
+        """The colour of a run by its rank among those drawn together, from 0; after forty they
+        come again."""
         return self.runs[rank % len(self.runs)]
 
     def pale(self, rank: int) -> str:
@@ -136,7 +146,14 @@ class Theme:
         return self.inks[ink]
 
 
-LIGHT = Theme({name: light for name, (light, _) in _INKS.items()}, [light for _, light in _RUNS])
+LIGHT = Theme(
+    {name: light for name, (light, _) in _INKS.items()},
+    [light for _, light in _RUNS] + _MORE.split(),
+)
 DARK = Theme(
-    {name: _hex(dark) for name, (_, dark) in _INKS.items()}, [_hex(dark) for dark, _ in _RUNS]
+    {name: _hex(dark) for name, (_, dark) in _INKS.items()},
+    [
+        *(_hex(dark) for dark, _ in _RUNS),
+        *(_hex((3 * part + 255) // 4 for part in rgb(light)) for light in _MORE.split()),
+    ],
 )

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from ..merge.result import Component, MergeResult, PairVerdict, Standing
 from ..topology.arrays import FloatArray, IntArray
+from ..topology.se2 import apply, inverse
 from ..topology.wording import counted
 from . import palette
-from .geometry import MIN_SIDE_M
+from .geometry import MIN_SIDE_M, bounds
 from .sheet import Cell, arrange, upright_rad
 
 MARGIN, ALONE_MARGIN = 0.18, 0.04
@@ -58,9 +59,11 @@ def lay_out(
     result: MergeResult,
     to_hold: Mapping[int, FloatArray],
     shown: Collection[int] | None = None,
+    aside: float = 0.0,
 ) -> list[Part]:
     """Components on one sheet, `in_order`: all, or those with the ids `shown`. to_hold: points
-    (k, 2) that the cell of a component, by its id, is to hold beside its map [m]."""
+    (k, 2) that the cell of a component, by its id, is to hold beside its map [m]; aside: room at
+    the left of those of several runs, over their width."""
     fused = result.fused
     order = [c for c in in_order(result) if shown is None or c.id in shown]
     of_edge = fused.component[fused.source] if len(fused.source) else np.zeros(0, np.int64)
@@ -71,6 +74,12 @@ def lay_out(
         for c, rows, lines in zip(order, vertices, paths, strict=True)
     ]
     turns = [upright_rad(p) for p in paths]
+    for k, c in enumerate(order):
+        if aside and len(c.poses) > 1:
+            upright = np.array([0.0, 0.0, turns[k]])
+            low, high = bounds([apply(upright, points[k])], margin=0.0)
+            left = apply(inverse(upright), [low[0] - aside * (high[0] - low[0]), low[1]])
+            points[k] = np.concatenate([points[k], left[None]])
     share = MARGIN if len(order) > 1 else ALONE_MARGIN
     extents = [float(np.ptp(p, axis=0).max()) for p in points if len(p)]
     usual_m = max(float(np.median(extents)) if extents else 0.0, MIN_SIDE_M)

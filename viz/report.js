@@ -34,15 +34,28 @@ const KEYS = {"+": [.67], "=": [.67], "-": [1.5], ArrowLeft: [1, -.15], ArrowRig
   ArrowUp: [1, 0, .15], ArrowDown: [1, 0, -.15]};
 
 // Dots and lines shrink where corridors are drawn shorter than this [px].
-const LARGE_PX = 30, LEAST = .4, NUMBERS = "junction numbers";
-// One number in each such rectangle of the picture: the others would lie over each other [px].
-const ROOM_PX = [34, 20];
+const LARGE_PX = 30, LEAST = .25;
+// Numbers that would lie over an earlier one are left out: each takes cells of the picture [px].
+const CELL_PX = 6, LETTER_PX = 7, HIGH_PX = 11;
 function renumber(plot, px_per_m) {
-  for (const r of plot.renderers) if (r.name === NUMBERS) {
-    const source = r.data_source, taken = new Set();
+  const taken = new Set();
+  for (const r of plot.renderers) if (r.glyph.text) {
+    const source = r.data_source, back = r.glyph.text_align.value === "right";
     if (source.data.text !== source.fewer) source.every = source.data.text;
-    const place = k => ["x", "y"].map((side, n) => Math.floor(source.data[side][k] * px_per_m / ROOM_PX[n])).join();
-    source.fewer = source.every.map((text, k) => taken.has(place(k)) ? "" : (taken.add(place(k)), text));
+    const cells = (text, k) => {
+      const wide = LETTER_PX * text.length;
+      const x = source.data.x[k] * px_per_m + r.glyph.x_offset.value - back * wide;
+      const y = source.data.y[k] * px_per_m - r.glyph.y_offset.value;
+      const across = Math.floor(x / CELL_PX), up = Math.floor(y / CELL_PX), out = [];
+      for (let i = across; i * CELL_PX < x + wide; i++) for (let j = up; j * CELL_PX < y + HIGH_PX; j++) out.push(`${i},${j}`);
+      return out;
+    };
+    source.fewer = source.every.map((text, k) => {
+      const own = cells(text, k);
+      if (own.some(cell => taken.has(cell))) return "";
+      own.forEach(cell => taken.add(cell));
+      return text;
+    });
     source.data = {...source.data, text: source.fewer};
   }
 }
@@ -123,8 +136,8 @@ async function site(place) {
 const NEAR_PX = 12;
 
 // Pairs.
-const n = data.runs.length, pairs = new Map(data.pairs.map(p => [p.i * n + p.j, p]));
-const pair = (i, j) => pairs.get(Math.min(i, j) * n + Math.max(i, j));
+const n = data.runs.length, both = (i, j) => Math.min(i, j) * n + Math.max(i, j);
+const pairs = new Map(data.pairs.map(p => [both(p.i, p.j), p])), pair = (i, j) => pairs.get(both(i, j));
 function spelled(i, j) {
   const [a, b] = [data.runs[i], data.runs[j]], p = pair(i, j);
   if (i === j) return a.name;
@@ -198,9 +211,9 @@ async function open(i, j) {
   const alone = j === undefined || i === j;
   find("#run-a").value = i;
   if (find("#run-b")) find("#run-b").value = alone ? "" : j;
-  if (!alone && j < i) [i, j] = [j, i];
-  const [a, b] = [data.runs[i], alone ? null : data.runs[j]];
-  const p = alone ? null : pair(i, j), told = find("#pair-told"), call = words => `topobatch ${words} ${data.where}`.trim();
+  const p = alone ? null : pair(i, j);
+  if (p) [i, j] = [p.i, p.j];  // the second is placed in the first one's frame
+  const [a, b] = [data.runs[i], alone ? null : data.runs[j]], told = find("#pair-told"), call = words => `topobatch ${words} ${data.where}`.trim();
   find("#pair-title").textContent = alone ? a.name : spelled(i, j);
   const said = p?.told ?? (p ? [data.reasons[p.r], p.advice && `To settle it: ${p.advice}`] : []);
   const lines = [...said, p?.locked && `Decided by a person: ${p.locked}.`].filter(Boolean);

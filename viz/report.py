@@ -335,7 +335,7 @@ def _clock(spans: Sequence[tuple[int, int]]) -> tuple[IntArray, FloatArray, dict
     ticks: dict[float, str] = {}
     for x, time in zip(at.tolist(), times.tolist(), strict=True):
         if not ticks or x - max(ticks) >= places[-1] / MOST_TICKS:
-            ticks[round(x, 2)] = utc(int(time) + int(knots[0]), "%Y-%m-%d %H:%M")
+            ticks[round(x, 2)] = utc(int(time) + int(knots[0]), "%Y-%m-%d\n%H:%M")
     return knots, places, ticks
 
 

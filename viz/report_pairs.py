@@ -128,10 +128,9 @@ def page_data(
     reasons: dict[str, int] = {}
     pairs = []
     for p in strongest(result.verdicts if result else ()):
-        i, j = sorted((row[p.a], row[p.b]))
         said = reasons.setdefault(legible(p.reason), len(reasons))
-        entry: dict[str, Any] = {"i": i, "j": j, "s": CLASS[p.standing] - 1, "r": said}
-        entry["bits"] = shown_bits(p.evidence_bits)
+        entry: dict[str, Any] = {"i": row[p.a], "j": row[p.b], "s": CLASS[p.standing] - 1}
+        entry |= {"r": said, "bits": shown_bits(p.evidence_bits)}
         pairs.append(entry | _opened(p, decisions.get((p.a, p.b)), maps))
     return {
         "runs": [

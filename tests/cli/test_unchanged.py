@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from itertools import combinations
 
 import pytest
 
@@ -44,6 +45,14 @@ def test_nothing_new_is_not_merged_but_said_again_and_noted(topobatch, place):
     assert len(after) == len(noted) + 1
     assert json.loads(after[-1])["text"] == json.loads(noted[-1])["text"]
     assert topobatch("merge", "--all", "-q", "-w", place).out == ""
+
+
+def test_a_merge_says_that_junctions_have_other_numbers(topobatch, place):
+    assert "other numbers" not in topobatch("merge", "--all", "-w", place).out
+    for a, b in combinations(sorted(p.stem for p in (place / "maps").glob("*.json")), 2):
+        topobatch("lock", a, b, "--never", "-w", place)
+    merged = topobatch("merge", "--all", "-w", place).out
+    assert "\njunctions of sites have other numbers now; draw and export them again" in merged
 
 
 @pytest.mark.parametrize(

@@ -20,6 +20,7 @@ from topobatch.merge.decision_text import (
     headline,
     lies,
     lines,
+    needs,
 )
 from topobatch.merge.result import (
     Alignment,
@@ -91,6 +92,13 @@ def test_a_decision_fits_a_terminal_with_the_verdict_first(told):
     assert shown[0].startswith(f"left and right: {told.pair.verdict}: ")
     assert "12.6 needed" in shown[0]
     assert any("log2(6 pairs / rate 0.001)" in line for line in shown)
+
+
+def test_a_rounded_number_of_pairs_is_said_to_be_one():
+    many = replace(MERGED.requirement, pairs=448)
+    assert "log2(pairs, rounded up to 448, / rate 0.001)" in needs(
+        replace(MERGED, requirement=many)
+    )
 
 
 def test_what_a_narrow_terminal_cuts_is_marked():

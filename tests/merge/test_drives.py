@@ -11,6 +11,7 @@ from topobatch.merge.drives import DRIVES, drives, never_driven
 from topobatch.merge.result import (
     Alignment,
     Component,
+    CopyTest,
     FusedMap,
     MergeResult,
     PairVerdict,
@@ -122,6 +123,15 @@ def test_into_the_unknown_from_what_is_known() -> None:
     assert np.hypot(*np.subtract(first.stops[-1].xy, known[-1])) == pytest.approx(STEP, abs=0.01)
     assert first.path[-1] == pytest.approx(first.stops[-1].xy, abs=0.01)
     assert f"past about {2 * need} junctions ({2 * need * STEP:.0f} m)" in first.way
+
+
+@pytest.mark.parametrize(("bits", "proposed"), [(3.0, True), (0.5, False)])
+def test_where_it_would_tell_no_copy_nothing_is_proposed(bits: float, proposed: bool) -> None:
+    # Of four junctions each has a quarter of this; 8 bits are needed, by at most 21 junctions.
+    pair = open_pair(COMMON)
+    test = CopyTest(bits, 8.0, 1.0)
+    pair = replace(pair, best=replace(pair.best, copy_test=test))
+    assert bool(drives(merge_of({"a": A, "b": B}, [pair]))) == proposed
 
 
 def test_what_hardly_brings_evidence_is_not_proposed() -> None:

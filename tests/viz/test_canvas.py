@@ -41,3 +41,15 @@ def test_names_are_shown_as_text_and_nothing_else() -> None:
     assert not list(root.iter(f"{SVG}script"))
     titles = [node.text for node in root.iter(f"{SVG}title")]
     assert titles == [shown, "a dot"]
+
+
+def test_numbers_that_would_lie_over_each_other_are_moved() -> None:
+    drawn = Canvas(np.zeros(2), np.array([40.0, 20.0]), LIGHT)
+    for k in range(4):
+        at = np.array([20.0, 10.0 + 0.01 * k])
+        drawn.words(at + np.array([0.0, 1.0]), f"12{k}", of=at)
+    boxes = np.array(drawn._written)
+    apart = (
+        np.abs(boxes[:, None, :2] - boxes[None, :, :2]) - boxes[:, None, 2:] - boxes[None, :, 2:]
+    )
+    assert np.all(apart.max(axis=-1)[~np.eye(4, dtype=bool)] >= 0)

@@ -219,6 +219,17 @@ def test_every_pair_is_in_the_page_with_its_reason(merge_of) -> None:
     assert sum(map(float, filter(None, sums))) == pytest.approx(6.0)
 
 
+def test_a_pair_is_opened_in_the_order_of_its_verdict_whichever_site_comes_first(merge_of) -> None:
+    """Its second run is placed in the frame of the first, also where the rows are the other way
+    round."""
+    result, maps = merge_of([["a"], ["b", "c"]], [("a", "c")])
+    data = Page(page_of(result, maps)).data
+    names = [run["name"] for run in data["runs"]]
+    assert names == ["b", "c", "a"]
+    pairs = {(names[p["i"]], names[p["j"]]) for p in data["pairs"]}
+    assert pairs == {(pair.a, pair.b) for pair in result.verdicts}
+
+
 def test_a_time_line_of_two_decades_shows_the_runs_of_either(merge_of) -> None:
     result, maps = merge_of([["a", "b"], ["c"]])
     old = [replace(m, observation_time_ns=m.observation_time_ns + 10**18) for m in maps[:1]]

@@ -173,6 +173,17 @@ def test_a_square_of_the_matrix_opens_its_pair(opened, html, tmp_path) -> None:
     shows(page, "#pair-title", "b + c")
 
 
+def test_a_pair_is_opened_in_the_order_of_its_verdict(opened, merge_of) -> None:
+    result, maps = merge_of([["a"], ["b", "c"]], [("a", "c")])
+    page = opened(report_page(Report({m.run: m for m in maps}, named(result))))
+    page.locator("#run-a").select_option(label="c")
+    page.locator("#run-b").select_option(label="a")
+    shows(page, "#pair-title", "a + c")
+    shows(page, "#pair figcaption", "a  c")
+    shows(page, "#pair-told", "topobatch explain a c")
+    assert "lock a c" in page.locator("#never input").input_value()
+
+
 def test_the_evidence_of_a_pair_fits_a_phone(opened, html) -> None:
     """Also with a column for the next best placement."""
     page = opened(html, viewport={"width": 390, "height": 800})

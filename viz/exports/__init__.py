@@ -8,8 +8,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
 
+from ...topology.run import Grid
 from ...topology.topomap import TopoMap
 from ...topology.turning_vertices import with_turning_points
+from ..walls import walls_of
+from .free_ways import led_round
 from .graphml import graphml
 from .lif import lif_json
 from .map_server import map_picture, map_yaml
@@ -54,10 +57,17 @@ MAP_FORMATS: Mapping[str, Mapping[str, MapFormat]] = MappingProxyType(
 the map and the largest distance [m] of a path from its straight pieces."""
 
 
-def map_texts(topomap: TopoMap, form: str, max_error_m: float = MAX_ERROR_M) -> dict[str, str]:
-    """A map, with its turning points, in one of MAP_FORMATS: the text of each file by its
-    suffix."""
+def map_texts(
+    topomap: TopoMap, form: str, max_error_m: float = MAX_ERROR_M, walls: Grid | None = None
+) -> dict[str, str]:
+    """A map, with its turning points, in one of MAP_FORMATS: the text of each file by its suffix.
+    Corridors that cross walls are led round them. walls: a grid along the axes of the map's frame;
+    by default those of the map's views."""
     whole = with_turning_points(topomap)
+    if walls is None:
+        walls = walls_of([topomap.views], topomap.frame)
+    if walls is not None:
+        whole = led_round(whole, walls)
     return {ending: text(whole, max_error_m) for ending, text in MAP_FORMATS[form].items()}
 
 
