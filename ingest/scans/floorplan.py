@@ -7,18 +7,17 @@ from dataclasses import dataclass, field, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
-from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from ...topology.arrays import BoolArray, Float32Array, FloatArray
 from ...topology.polyline import leaving_over, way_of
 from ...topology.se2 import wrap
 from .crossing import crossings, with_crossings
-from .grid import GridSettings
-from .open_space import Lattice, distance, open_space, wall_yaw
+from .grid import GridSettings, extents, labelled
+from .open_space import Lattice, OpenSpace, distance, open_space, wall_yaw
 from .rooms import Rooms, door_nodes, doors, with_rooms
 from .skeleton import Edge, Node, SkeletonGraph, SkeletonSettings, thin, traced
-from .skeleton_lines import Lines, labelled, lines_of
+from .skeleton_lines import Lines, lines_of
 from .ways import Drivable, Way, drivable_way
 
 
@@ -142,15 +141,22 @@ def skeleton_graph(
         return Floorplan((), ())
     free = np.pad(free, 1)
     edge = np.zeros_like(free) if frontier is None else np.pad(np.asarray(frontier, bool), 1)
-    yaw = wall_yaw(free, edge, resolution_m)
+    radius_m = settings.skeleton.clearance_m
+    space = open_space(free, resolution_m, radius_m, settings.island_m)
+    lattice = _lattice(space, wall_yaw(free, edge, resolution_m))
+    on = space.on(lattice)
+    into_unknown = _Openings.of(edge, resolution_m, 2 * radius_m)
+    opening = lattice.marks(into_unknown.before(space.clearance_m), resolution_m)
+    base = _Axes(on.clearance_m, opening, Drivable.of(on, radius_m))
 
     def axes_of(unknown_m: float) -> _Axes:
-        left = free
-        if unknown_m and edge.any():
-            left = free & (distance(~edge, 1.0) > unknown_m / resolution_m)
-        return _Axes.of(left, edge, resolution_m, yaw, settings)
+        if not unknown_m or not edge.any():
+            return base
+        known = free & (distance(~edge, 1.0) > unknown_m / resolution_m)
+        clearance_m = open_space(known, resolution_m, radius_m, settings.island_m).clearance_m
+        opening = lattice.marks(into_unknown.before(clearance_m), resolution_m)
+        return _Axes(lattice.of(clearance_m, resolution_m), opening, base.drivable)
 
-    base = axes_of(0.0)
     graph = with_crossings(base.graph(settings.skeleton), settings.skeleton)
     if not graph.nodes and not doors(graph):
         return Floorplan((), ())
@@ -161,8 +167,7 @@ def skeleton_graph(
     own = [*(graph.nodes[k] for k in rooms.kept), *rooms.graph.nodes[rooms.first_door :]]
     others = []
     for skeleton, unknown_m in settings.variants[1:] if own else ():
-        axes = axes_of(unknown_m) if unknown_m else base
-        other = axes.graph(skeleton)
+        other = axes_of(unknown_m).graph(skeleton)
         found = crossings(other, range(len(other.nodes)), skeleton)
         others.append(list(found.places.values()))
         if rooms.doors:
@@ -170,7 +175,7 @@ def skeleton_graph(
     places = _known_places(rooms, _agreement(own, others, settings), base.drivable)
     plan = _floorplan(rooms.graph, places, base)
     plan = plan._replace(blocked=plan.blocked + rooms.lost)
-    return _from_corner(plan, base.lattice, resolution_m)
+    return _from_corner(plan, lattice, resolution_m)
 
 
 CELL_M = 0.05
@@ -189,73 +194,64 @@ MOST_PEELED = 1 << 27
 second; wider spaces are traced in larger cells."""
 
 
-@dataclass(slots=True, eq=False)
-class _Axes:
-    """The skeleton of an open space, in a lattice along its walls.
+def _lattice(space: OpenSpace, yaw: float) -> Lattice:
+    """The lattice that the skeletons of an open space are traced in."""
+    shape = space.clearance_m.shape
+    area, wide_m = space.clearance_m.size * space.cell_m**2, float(space.clearance_m.max())
+    peeled_m = (area * wide_m / MOST_PEELED) ** (1 / 3)
+    cell_m = max(CELL_M, space.cell_m / FINER, peeled_m, (area / MOST_CELLS) ** 0.5)
+    return Lattice.along(yaw, shape, space.cell_m, cell_m)
 
-    clearance_m: (h, w) distance of walls; opening: see `_openings`; drivable: where the robot can
-    drive; lines: those for its radius, once they are traced.
+
+class _Openings(NamedTuple):
+    """Frontiers as wide as a robot, where corridors lead on into the unknown: away_m: (h, w)
+    distance from these, None if there are none; cell_m: size of a cell."""
+
+    away_m: Float32Array | None
+    cell_m: float
+
+    @classmethod
+    def of(cls, frontier: BoolArray, cell_m: float, least_m: float) -> _Openings:
+        """The frontiers of width `least_m`."""
+        label, _ = labelled(np.pad(frontier, ((1, 0), (1, 0)))[:-1, :-1])
+        wide = (label > 0) & (extents(label) * cell_m >= least_m)[label]
+        return cls(distance(~wide, cell_m) if wide.any() else None, cell_m)
+
+    def before(self, clearance_m: Float32Array) -> BoolArray:
+        """(h, w) cells at most as far from such a frontier as from any wall."""
+        if self.away_m is None:
+            return np.zeros(clearance_m.shape, bool)
+        # Frontiers are free, walls are not; a way ends up to a cell before what it ends at.
+        return np.asarray((clearance_m > 0) & (self.away_m <= clearance_m + self.cell_m))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Axes:
+    """The skeletons of an open space, in the cells of a lattice.
+
+    clearance_m: (h, w) distance of walls; opening: (h, w) cells where corridors lead on into the
+    unknown; drivable: where the robot can drive; lines: of the skeletons traced so far, by least
+    clearance [m].
     """
 
     clearance_m: Float32Array
-    lattice: Lattice
     opening: BoolArray
     drivable: Drivable
-    lines: Lines | None = None
+    lines: dict[float, Lines] = field(default_factory=dict)
 
     @property
     def cell_m(self) -> float:
         """Side of a cell of the lattice."""
-        return self.lattice.cell_m
-
-    @classmethod
-    def of(
-        cls,
-        free: BoolArray,
-        frontier: BoolArray,
-        cell_m: float,
-        yaw: float,
-        settings: FloorplanSettings,
-    ) -> _Axes:
-        """frontier: free cells beside unknown ones; yaw: of the lattice."""
-        radius_m = settings.skeleton.clearance_m
-        space = open_space(free, cell_m, radius_m, settings.island_m)
-        opening = _openings(frontier, space.clearance_m, cell_m, 2 * radius_m)
-        area, wide_m = free.size * cell_m**2, float(space.clearance_m.max())
-        peeled_m = (area * wide_m / MOST_PEELED) ** (1 / 3)
-        own_m = max(CELL_M, cell_m / FINER, peeled_m, (area / MOST_CELLS) ** 0.5)
-        lattice = Lattice.along(yaw, free.shape, cell_m, own_m)
-        on = space.on(lattice)
-        drivable = Drivable.of(on, radius_m)
-        return cls(on.clearance_m, lattice, lattice.marks(opening, cell_m), drivable)
+        return self.drivable.cell_m
 
     def graph(self, settings: SkeletonSettings) -> SkeletonGraph:
         """The graph of where there is the clearance of the settings."""
-        if settings.clearance_m != self.drivable.radius_m:
-            return traced(self._lines(settings.clearance_m), settings)
-        self.lines = self.lines or self._lines(settings.clearance_m)
-        return traced(self.lines, settings)
-
-    def _lines(self, least_m: float) -> Lines:
-        skeleton = thin(self.clearance_m > least_m)
-        found = lines_of(skeleton, self.clearance_m, self.cell_m, self.opening)
-        return _without_corners(found, self.opening, self.cell_m)
-
-
-def _openings(
-    frontier: BoolArray, clearance_m: Float32Array, cell_m: float, least_m: float
-) -> BoolArray:
-    """(h, w) cells at most as far from a frontier of width `least_m` as from any wall: corridors
-    that end there continue beyond. frontier: without the border that clearance_m has."""
-    out = np.zeros(clearance_m.shape, bool)
-    label, _ = labelled(np.pad(frontier, 1))
-    for number, part in enumerate(ndimage.find_objects(label), start=1):
-        if max(s.stop - s.start for s in part) * cell_m >= least_m:
-            out[part] |= label[part] == number
-    if not out.any():
-        return out
-    # Frontiers are free, walls are not; a way ends up to a cell before what it ends at.
-    return np.asarray(clearance_m > 0) & (distance(~out, cell_m) <= clearance_m + cell_m)
+        least_m = settings.clearance_m
+        if least_m not in self.lines:
+            skeleton = thin(self.clearance_m > least_m)
+            lines = lines_of(skeleton, self.clearance_m, self.cell_m, self.opening)
+            self.lines[least_m] = _without_corners(lines, self.opening, self.cell_m)
+        return traced(self.lines[least_m], settings)
 
 
 def _without_corners(lines: Lines, opening: BoolArray, cell_m: float) -> Lines:

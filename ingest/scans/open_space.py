@@ -11,8 +11,7 @@ from scipy import ndimage
 
 from ...topology.arrays import BoolArray, Float32Array, FloatArray
 from ...topology.se2 import apply, compose, inverse
-from .grid import GridSettings, without_islands
-from .skeleton_lines import Labels, labelled
+from .grid import Labels, without_islands
 
 SPECK_M = 0.1
 """Isolated obstacles up to this size, or up to two cells, are noise of the mapper as often as
@@ -38,10 +37,11 @@ class OpenSpace:
 
     def on(self, lattice: Lattice) -> OpenSpace:
         """The same in the cells of a lattice."""
-        clearance, room, everything = (
-            lattice.of(values, self.cell_m)
-            for values in (self.clearance_m, self.room_m, self.all_m)
-        )
+        # Without islands or specks they are one array.
+        fields = self.clearance_m, self.room_m, self.all_m
+        distinct = {id(values): values for values in fields}
+        own = {key: lattice.of(values, self.cell_m) for key, values in distinct.items()}
+        clearance, room, everything = (own[id(values)] for values in fields)
         return OpenSpace(clearance, room, everything, lattice.cell_m)
 
 
@@ -142,15 +142,14 @@ def open_space(free: BoolArray, cell_m: float, radius_m: float, island_m: float)
     solid = without_specks(free, cell_m)
     everything = distance(free, cell_m)
     room = everything if np.array_equal(solid, free) else distance(solid, cell_m)
-    filled = _filled(solid, room <= radius_m, island_m / cell_m)
+    filled = without_islands(solid, island_m / cell_m, room <= radius_m)
     clearance = room if np.array_equal(filled, solid) else distance(filled, cell_m)
     return OpenSpace(clearance, room, everything, cell_m)
 
 
 def without_specks(free: BoolArray, cell_m: float) -> BoolArray:
     """Free cells (h, w), and specks (`SPECK_M`) among them."""
-    specks = GridSettings(cell_m=cell_m, island_m=max(SPECK_M, 2 * cell_m))
-    return without_islands(free, specks)
+    return without_islands(free, max(SPECK_M, 2 * cell_m) / cell_m)
 
 
 ROWS_AT_ONCE = 64
@@ -182,16 +181,3 @@ def distances(nearest: Labels, cell_m: float) -> Float32Array:
         squared += np.square(x - columns, dtype=np.float64)
         out[rows[0] : rows[-1] + 1] = np.sqrt(squared) * cell_m
     return out
-
-
-def _filled(free: BoolArray, blocked: BoolArray, most_cells: float) -> BoolArray:
-    """The free cells, and those of obstacles up to so many cells wide. blocked: cells that a robot
-    cannot be in; what they connect is one obstacle."""
-    label, count = labelled(blocked)
-    at_border = np.unique(np.concatenate([label[0], label[-1], label[:, 0], label[:, -1]]))
-    label[free] = 0
-    small = np.zeros(count + 1, bool)
-    for number, box in enumerate(ndimage.find_objects(label), start=1):
-        small[number] = box is not None and max(s.stop - s.start for s in box) <= most_cells
-    small[at_border] = False
-    return np.asarray(free | small[label])

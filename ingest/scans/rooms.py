@@ -19,9 +19,9 @@ from scipy import ndimage
 
 from ...topology.arrays import BoolArray, FloatArray, IntArray
 from .crossing import crossing
+from .grid import Labels
 from .open_space import distances, nearest_cells
 from .skeleton import Edge, Node, SkeletonGraph, SkeletonSettings
-from .skeleton_lines import Labels
 from .ways import Drivable, cheapest
 
 WIDEST_M = 1.2

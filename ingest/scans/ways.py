@@ -10,8 +10,8 @@ from scipy import ndimage
 
 from ...topology.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from ...topology.polyline import densely, simplify, way_of
+from .grid import labelled
 from .open_space import OpenSpace
-from .skeleton_lines import labelled
 
 SMOOTH_M = 0.5
 """Length over which the staircase steps of skeletons are smoothed; corridors are straight over

@@ -18,10 +18,10 @@ from ...topology.odometry import Odometry
 from ...topology.track import piece_of, point_at, way_at
 from ...topology.views import SIDE, view_cells
 from .crossing import BendTally, bends, crossing, crossings
-from .grid import GridSettings, Looks, Window, free_space, gather, looks
+from .grid import GridSettings, Looks, Window, free_space, gather, labelled, looks
 from .matching import Matched, Placed
 from .skeleton import Node, SkeletonSettings, thin, traced
-from .skeleton_lines import Lines, labelled, lines_of
+from .skeleton_lines import Lines, lines_of
 
 
 class Variant(NamedTuple):

@@ -60,7 +60,7 @@ def test_pillars_corners_and_narrow_gaps_are_no_junctions() -> None:
     rooms = (80, 20, 120, 280), (120, 150, 190, 153), (10, 235, 80, 265), (120, 60, 190, 90)
     free = grid(*rooms)
     free[98:102, 150:154] = False
-    places = skeleton_graph(without_islands(free, GridSettings(cell_m=CELL)), CELL).places
+    places = skeleton_graph(without_islands(free, GridSettings().island_m / CELL), CELL).places
     (junction,) = [p for p in places if p.kind == "junction"]
     assert np.hypot(*(junction.xy - (7.5, 10.0))) < 0.3
     assert headings_off(junction.branches, [0.0, np.pi / 2, np.pi]) < 0.1
