@@ -9,7 +9,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ...topology.arrays import BoolArray, Float32Array, FloatArray
+from ...topology.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from ...topology.polyline import leaving_over, way_of
 from ...topology.se2 import wrap
 from .crossing import crossings, with_crossings
@@ -19,14 +19,6 @@ from .rooms import Rooms, door_nodes, doors, with_rooms
 from .skeleton import Edge, Node, SkeletonGraph, SkeletonSettings, thin, traced
 from .skeleton_lines import Lines, lines_of
 from .ways import Drivable, Way, drivable_way
-
-
-class Variant(NamedTuple):
-    """One variant of the settings: of the skeleton, and how far [m] the unknown reaches into the
-    free space."""
-
-    skeleton: SkeletonSettings
-    unknown_m: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,8 +35,8 @@ class FloorplanSettings:
     agree_m: float = 0.7
     """A variant agrees on a junction if it has one within this distance with as many branches."""
     unknown_m: float = 0.5
-    """In one variant as much of the free space beside the unknown is unknown, too: junctions that
-    change by it depend on what was not explored."""
+    """In a last variant as much of the free space beside the unknown is unknown, too: junctions
+    that change by it depend on what was not explored."""
 
     @classmethod
     def of_robot(cls, radius_m: float) -> FloorplanSettings:
@@ -64,17 +56,15 @@ class FloorplanSettings:
         return FloorplanSettings.of_robot(0.5 * self.skeleton.clearance_m)
 
     @property
-    def variants(self) -> tuple[Variant, ...]:
-        """The settings and six variations, each in one parameter."""
+    def variants(self) -> tuple[SkeletonSettings, ...]:
+        """Five variations of the skeleton's settings, each in one parameter."""
         s = self.skeleton
         return (
-            Variant(s),
-            Variant(replace(s, clearance_m=0.8 * s.clearance_m)),
-            Variant(replace(s, clearance_m=1.3 * s.clearance_m)),
-            Variant(s.with_spurs(0.7)),
-            Variant(s.with_spurs(1.4)),
-            Variant(replace(s, join_m=1.3 * s.join_m)),
-            Variant(s, self.unknown_m),
+            replace(s, clearance_m=0.8 * s.clearance_m),
+            replace(s, clearance_m=1.3 * s.clearance_m),
+            s.with_spurs(0.7),
+            s.with_spurs(1.4),
+            replace(s, join_m=1.3 * s.join_m),
         )
 
 
@@ -145,29 +135,23 @@ def skeleton_graph(
     space = open_space(free, resolution_m, radius_m, settings.island_m)
     lattice = _lattice(space, wall_yaw(free, edge, resolution_m))
     on = space.on(lattice)
-    into_unknown = _Openings.of(edge, resolution_m, 2 * radius_m)
-    opening = lattice.marks(into_unknown.before(space.clearance_m), resolution_m)
-    base = _Axes(on.clearance_m, opening, Drivable.of(on, radius_m))
-
-    def axes_of(unknown_m: float) -> _Axes:
-        if not unknown_m or not edge.any():
-            return base
-        known = free & (distance(~edge, 1.0) > unknown_m / resolution_m)
-        clearance_m = open_space(known, resolution_m, radius_m, settings.island_m).clearance_m
-        opening = lattice.marks(into_unknown.before(clearance_m), resolution_m)
-        return _Axes(lattice.of(clearance_m, resolution_m), opening, base.drivable)
-
+    unknown_m = lattice.of(_unknown_m(edge, resolution_m, 2 * radius_m), resolution_m)
+    base = _Axes(on.clearance_m, unknown_m, Drivable.of(on, radius_m))
+    less = replace(
+        base, clearance_m=np.minimum(base.clearance_m, unknown_m - settings.unknown_m), lines={}
+    )
     graph = with_crossings(base.graph(settings.skeleton), settings.skeleton)
     if not graph.nodes and not doors(graph):
         return Floorplan((), ())
     if len(graph.nodes) < FEW_JUNCTIONS:
-        rooms = with_rooms(graph, base.opening, base.drivable, settings.skeleton)
+        rooms = with_rooms(graph, base.opening(), base.drivable, settings.skeleton)
     else:
         rooms = Rooms(graph, [*range(len(graph.nodes))], [], [], [], 0)
     own = [*(graph.nodes[k] for k in rooms.kept), *rooms.graph.nodes[rooms.first_door :]]
     others = []
-    for skeleton, unknown_m in settings.variants[1:] if own else ():
-        other = axes_of(unknown_m).graph(skeleton)
+    variants = [*((base, skeleton) for skeleton in settings.variants), (less, settings.skeleton)]
+    for axes, skeleton in variants if own else ():
+        other = axes.graph(skeleton)
         found = crossings(other, range(len(other.nodes)), skeleton)
         others.append(list(found.places.values()))
         if rooms.doors:
@@ -203,41 +187,34 @@ def _lattice(space: OpenSpace, yaw: float) -> Lattice:
     return Lattice.along(yaw, shape, space.cell_m, cell_m)
 
 
-class _Openings(NamedTuple):
-    """Frontiers as wide as a robot, where corridors lead on into the unknown: away_m: (h, w)
-    distance from these, None if there are none; cell_m: size of a cell."""
-
-    away_m: Float32Array | None
-    cell_m: float
-
-    @classmethod
-    def of(cls, frontier: BoolArray, cell_m: float, least_m: float) -> _Openings:
-        """The frontiers of width `least_m`."""
-        label, _ = labelled(np.pad(frontier, ((1, 0), (1, 0)))[:-1, :-1])
-        wide = (label > 0) & (extents(label) * cell_m >= least_m)[label]
-        return cls(distance(~wide, cell_m) if wide.any() else None, cell_m)
-
-    def before(self, clearance_m: Float32Array) -> BoolArray:
-        """(h, w) cells at most as far from such a frontier as from any wall."""
-        if self.away_m is None:
-            return np.zeros(clearance_m.shape, bool)
-        # Frontiers are free, walls are not; a way ends up to a cell before what it ends at.
-        return np.asarray((clearance_m > 0) & (self.away_m <= clearance_m + self.cell_m))
+def _unknown_m(frontier: BoolArray, cell_m: float, least_m: float) -> Float32Array:
+    """(h, w) distance from frontiers of width `least_m` or more [m]; larger than the
+    grid if there are none."""
+    label, _ = labelled(frontier)
+    wide = (label > 0) & (extents(label) * cell_m >= least_m)[label]
+    if not wide.any():
+        return np.full(wide.shape, sum(wide.shape) * cell_m, np.float32)
+    return distance(~wide, cell_m)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Axes:
     """The skeletons of an open space, in the cells of a lattice.
 
-    clearance_m: (h, w) distance of walls; opening: (h, w) cells where corridors lead on into the
-    unknown; drivable: where the robot can drive; lines: of the skeletons traced so far, by least
-    clearance [m].
+    clearance_m, unknown_m: (h, w) distances of walls, and of frontiers; drivable: where the robot
+    can drive; lines: of the skeletons traced so far, by least clearance [m].
     """
 
     clearance_m: Float32Array
-    opening: BoolArray
+    unknown_m: Float32Array
     drivable: Drivable
     lines: dict[float, Lines] = field(default_factory=dict)
+
+    def opening(self, cells: tuple[IntArray, IntArray] | slice = np.s_[:]) -> BoolArray:
+        """Whether all or some cells are at most as far from a frontier as from any wall: corridors
+        lead on into the unknown there. A way ends up to a cell before what it ends at."""
+        clearance_m = self.clearance_m[cells]
+        return np.asarray((clearance_m > 0) & (self.unknown_m[cells] <= clearance_m + self.cell_m))
 
     @property
     def cell_m(self) -> float:
@@ -249,8 +226,9 @@ class _Axes:
         least_m = settings.clearance_m
         if least_m not in self.lines:
             skeleton = thin(self.clearance_m > least_m)
-            lines = lines_of(skeleton, self.clearance_m, self.cell_m, self.opening)
-            self.lines[least_m] = _without_corners(lines, self.opening, self.cell_m)
+            opening = self.opening()
+            lines = lines_of(skeleton, self.clearance_m, self.cell_m, opening)
+            self.lines[least_m] = _without_corners(lines, opening, self.cell_m)
         return traced(self.lines[least_m], settings)
 
 
@@ -382,8 +360,9 @@ def _polyline(edge: Edge, nodes: Sequence[Node], cell_m: float) -> FloatArray | 
 def _ended(line: FloatArray, axes: _Axes) -> tuple[Literal["dead_end", "frontier"], FloatArray]:
     """What a line ends at, and the line up to there."""
     cells = axes.drivable.at(line)
-    if axes.opening[cells[0][-1], cells[1][-1]]:
-        before = np.flatnonzero(~axes.opening[cells])
+    opening = axes.opening(cells)
+    if opening[-1]:
+        before = np.flatnonzero(~opening)
         return "frontier", line[: max(2, int(before[-1]) + 2 if len(before) else 2)]
     line = _to_widest(line, axes.clearance_m, axes.cell_m)
     line[-1] = axes.drivable.moved(line[-1])

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from ...topology.arrays import BoolArray, Float32Array, FloatArray
@@ -78,20 +76,13 @@ class Lattice:
     def of(self, values: Float32Array, cell_m: float) -> Float32Array:
         """(h, w) values of a grid with cells of `cell_m` interpolated at the centres of the
         lattice's cells; 0 beyond the grid."""
-        out: Float32Array = self._sampled(values, cell_m, 1)
-        return out
-
-    def marks(self, values: BoolArray, cell_m: float) -> BoolArray:
-        """(h, w) marks of the nearest cells of a grid."""
-        return np.asarray(self._sampled(values.view(np.uint8), cell_m, 0), bool)
-
-    def _sampled(self, values: NDArray[Any], cell_m: float, order: Literal[0, 1]) -> Any:
         c, s = np.cos(self.yaw), np.sin(self.yaw)
         turn = np.array([[c, s], [-s, c]]) * self.cell_m / cell_m
         begin = np.array(self.corner[::-1]) / cell_m
-        return ndimage.affine_transform(
-            values, turn, begin, self.shape, order=order, mode="constant"
+        out: Float32Array = ndimage.affine_transform(
+            values, turn, begin, self.shape, order=1, mode="constant"
         )
+        return out
 
 
 MOST_POINTS = 1 << 14

@@ -88,3 +88,16 @@ def test_a_short_way_into_the_unknown_is_a_way(slope: float) -> None:
     assert followed.pop(int(up), "frontier") == "frontier"
     assert set(followed.values()) == {"dead_end"}
     assert all(in_free_cells(c.path, free) for c in corridors)
+
+
+def test_a_way_into_the_unknown_ends_where_that_begins() -> None:
+    """A frontier counts in its own cells: in a plan turned by 180 degrees the way is the same."""
+    free = grid((90, 20, 110, 280), (110, 140, 200, 160), shape=(220, 300))
+    frontier = np.zeros_like(free)
+    frontier[199, 140:160] = True
+    lengths = [
+        next(c.length_m for c in corridors if places[c.target].kind == "frontier")
+        for mask, edge in ((free, frontier), (free[::-1, ::-1], frontier[::-1, ::-1]))
+        for places, corridors, _ in [skeleton_graph(mask, CELL, frontier=edge)]
+    ]
+    assert abs(lengths[0] - lengths[1]) < 0.2 * CELL
