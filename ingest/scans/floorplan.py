@@ -14,7 +14,7 @@ from ...topology.polyline import leaving_over, way_of
 from ...topology.se2 import wrap
 from .crossing import crossings, with_crossings
 from .grid import GridSettings, extents, labelled
-from .open_space import Lattice, OpenSpace, distance, open_space, wall_yaw
+from .open_space import Lattice, OpenSpace, distance, wall_yaw
 from .rooms import Rooms, door_nodes, doors, with_rooms
 from .skeleton import Edge, Node, SkeletonGraph, SkeletonSettings, thin, traced
 from .skeleton_lines import Lines, lines_of
@@ -35,7 +35,7 @@ class FloorplanSettings:
     agree_m: float = 0.7
     """A variant agrees on a junction if it has one within this distance with as many branches."""
     unknown_m: float = 0.5
-    """In a last variant as much of the free space beside the unknown is unknown, too: junctions
+    """In one variant as much of the free space beside the unknown is unknown, too: junctions
     that change by it depend on what was not explored."""
 
     @classmethod
@@ -56,15 +56,17 @@ class FloorplanSettings:
         return FloorplanSettings.of_robot(0.5 * self.skeleton.clearance_m)
 
     @property
-    def variants(self) -> tuple[SkeletonSettings, ...]:
-        """Five variations of the skeleton's settings, each in one parameter."""
+    def variants(self) -> tuple[tuple[float, SkeletonSettings], ...]:
+        """Six variations, each in one parameter: how far [m] the unknown reaches into the free
+        space, and of the skeleton."""
         s = self.skeleton
         return (
-            replace(s, clearance_m=0.8 * s.clearance_m),
-            replace(s, clearance_m=1.3 * s.clearance_m),
-            s.with_spurs(0.7),
-            s.with_spurs(1.4),
-            replace(s, join_m=1.3 * s.join_m),
+            (0.0, replace(s, clearance_m=0.8 * s.clearance_m)),
+            (0.0, replace(s, clearance_m=1.3 * s.clearance_m)),
+            (0.0, s.with_spurs(0.7)),
+            (0.0, s.with_spurs(1.4)),
+            (0.0, replace(s, join_m=1.3 * s.join_m)),
+            (self.unknown_m, s),
         )
 
 
@@ -112,34 +114,38 @@ class Floorplan(NamedTuple):
     blocked: int = 0
 
 
-def skeleton_graph(
-    free: BoolArray,
-    resolution_m: float,
-    settings: FloorplanSettings = FloorplanSettings(),
-    frontier: BoolArray | None = None,
-) -> Floorplan:
-    """Places and corridors of free space (h, w), row 0 at the smallest y, column 0 at the smallest
-    x.
+class Ground(NamedTuple):
+    """What plans of a grid by all settings have in common: its open space, (h, w) the distance of
+    frontiers [m], and the direction of walls [rad]."""
 
-    frontier: (h, w) free cells next to unknown ones; none by default. A corridor that ends without
-    a junction gets a dead end; one that leads into the unknown ends at a frontier, if it leads
-    farther than the disc around its junction. Loops without a junction are left out.
-    O(h w log(h w)).
+    space: OpenSpace
+    unknown_m: Float32Array
+    yaw: float
+
+    @classmethod
+    def of(
+        cls, free: BoolArray, frontier: BoolArray, resolution_m: float, radius_m: float
+    ) -> Ground:
+        """Of free cells (h, w), row 0 at the smallest y, column 0 at the smallest x, and those of
+        them next to unknown ones; frontiers are as wide as a robot of this radius."""
+        free, frontier = (np.pad(np.asarray(cells, bool), 1) for cells in (free, frontier))
+        return cls(
+            OpenSpace.of(free, resolution_m),
+            _unknown_m(frontier, resolution_m, 2 * radius_m),
+            wall_yaw(free, frontier, resolution_m),
+        )
+
+
+def plan(ground: Ground, settings: FloorplanSettings) -> Floorplan:
+    """Places and corridors of a grid.
+
+    A corridor that ends without a junction gets a dead end; one that leads into the unknown ends at
+    a frontier, if it leads farther than the disc around its junction. Loops without a junction are
+    left out. O(h w log(h w)).
     """
-    free = np.asarray(free, bool)
-    if not free.any():
+    if not ground.space.free.any():
         return Floorplan((), ())
-    free = np.pad(free, 1)
-    edge = np.zeros_like(free) if frontier is None else np.pad(np.asarray(frontier, bool), 1)
-    radius_m = settings.skeleton.clearance_m
-    space = open_space(free, resolution_m, radius_m, settings.island_m)
-    lattice = _lattice(space, wall_yaw(free, edge, resolution_m))
-    on = space.on(lattice)
-    unknown_m = lattice.of(_unknown_m(edge, resolution_m, 2 * radius_m), resolution_m)
-    base = _Axes(on.clearance_m, unknown_m, Drivable.of(on, radius_m))
-    less = replace(
-        base, clearance_m=np.minimum(base.clearance_m, unknown_m - settings.unknown_m), lines={}
-    )
+    base, lattice = _axes(ground, settings)
     graph = with_crossings(base.graph(settings.skeleton), settings.skeleton)
     if not graph.nodes and not doors(graph):
         return Floorplan((), ())
@@ -149,17 +155,16 @@ def skeleton_graph(
         rooms = Rooms(graph, [*range(len(graph.nodes))], [], [], [], 0)
     own = [*(graph.nodes[k] for k in rooms.kept), *rooms.graph.nodes[rooms.first_door :]]
     others = []
-    variants = [*((base, skeleton) for skeleton in settings.variants), (less, settings.skeleton)]
-    for axes, skeleton in variants if own else ():
-        other = axes.graph(skeleton)
-        found = crossings(other, range(len(other.nodes)), skeleton)
-        others.append(list(found.places.values()))
+    for unknown_m, skeleton in settings.variants if own else ():
+        other = (base.less(unknown_m) if unknown_m else base).graph(skeleton)
+        places = crossings(other, range(len(other.nodes)), skeleton).places
+        others.append(list(places.values()))
         if rooms.doors:
             others[-1] += door_nodes(other, doors(other))
-    places = _known_places(rooms, _agreement(own, others, settings), base.drivable)
-    plan = _floorplan(rooms.graph, places, base)
-    plan = plan._replace(blocked=plan.blocked + rooms.lost)
-    return _from_corner(plan, lattice, resolution_m)
+    known = _known_places(rooms, _agreement(own, others, settings), base.drivable)
+    found = _floorplan(rooms.graph, known, base)
+    found = found._replace(blocked=found.blocked + rooms.lost)
+    return _from_corner(found, lattice, ground.space.cell_m)
 
 
 CELL_M = 0.05
@@ -176,15 +181,6 @@ MOST_CELLS = 1 << 22
 MOST_PEELED = 1 << 27
 """Thinning visits all cells for every layer of the widest open space. This many visits take half a
 second; wider spaces are traced in larger cells."""
-
-
-def _lattice(space: OpenSpace, yaw: float) -> Lattice:
-    """The lattice that the skeletons of an open space are traced in."""
-    shape = space.clearance_m.shape
-    area, wide_m = space.clearance_m.size * space.cell_m**2, float(space.clearance_m.max())
-    peeled_m = (area * wide_m / MOST_PEELED) ** (1 / 3)
-    cell_m = max(CELL_M, space.cell_m / FINER, peeled_m, (area / MOST_CELLS) ** 0.5)
-    return Lattice.along(yaw, shape, space.cell_m, cell_m)
 
 
 def _unknown_m(frontier: BoolArray, cell_m: float, least_m: float) -> Float32Array:
@@ -221,6 +217,11 @@ class _Axes:
         """Side of a cell of the lattice."""
         return self.drivable.cell_m
 
+    def less(self, unknown_m: float) -> _Axes:
+        """The same, if cells as near to a frontier as this were unknown, too."""
+        clearance_m = np.minimum(self.clearance_m, self.unknown_m - np.float32(unknown_m))
+        return _Axes(clearance_m, self.unknown_m, self.drivable)
+
     def graph(self, settings: SkeletonSettings) -> SkeletonGraph:
         """The graph of where there is the clearance of the settings."""
         least_m = settings.clearance_m
@@ -230,6 +231,23 @@ class _Axes:
             lines = lines_of(skeleton, self.clearance_m, self.cell_m, opening)
             self.lines[least_m] = _without_corners(lines, opening, self.cell_m)
         return traced(self.lines[least_m], settings)
+
+
+def _axes(ground: Ground, settings: FloorplanSettings) -> tuple[_Axes, Lattice]:
+    """The axes for a robot, and the lattice that they are traced in."""
+    space, radius_m = ground.space, settings.skeleton.clearance_m
+    clearance_m = space.clearance_m(radius_m, settings.island_m)
+    area, wide_m = clearance_m.size * space.cell_m**2, float(clearance_m.max())
+    peeled_m = (area * wide_m / MOST_PEELED) ** (1 / 3)
+    cell_m = max(CELL_M, space.cell_m / FINER, peeled_m, (area / MOST_CELLS) ** 0.5)
+    lattice = Lattice.along(ground.yaw, clearance_m.shape, space.cell_m, cell_m)
+    # Without islands or specks they are one array.
+    fields = clearance_m, space.room_m, space.all_m
+    distinct = {id(values): values for values in fields}
+    own = {key: lattice.of(values, space.cell_m) for key, values in distinct.items()}
+    clearance_m, room_m, all_m = (own[id(values)] for values in fields)
+    drivable = Drivable.of(room_m, all_m, radius_m, cell_m)
+    return _Axes(clearance_m, lattice.of(ground.unknown_m, space.cell_m), drivable), lattice
 
 
 def _without_corners(lines: Lines, opening: BoolArray, cell_m: float) -> Lines:

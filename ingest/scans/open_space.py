@@ -20,27 +20,32 @@ things: they are driven round, at a distance if there is room, and are no obstac
 class OpenSpace:
     """A grid (h, w), with a border of walls, as a robot sees it.
 
-    all_m: distance of the centres of cells from all that is not free [m]; room_m: from all but
-    specks; clearance_m: from walls, where small obstacles are none; cell_m: size of a cell.
+    free: free cells, and specks among them; room_m: distance of the centres of cells from all
+    others [m]; all_m: from all that is not free, specks as well; cell_m: size of a cell.
     """
 
-    clearance_m: Float32Array
+    free: BoolArray
     room_m: Float32Array
     all_m: Float32Array
     cell_m: float
 
-    def drivable(self, radius_m: float) -> BoolArray:
-        """Cells whose centres are as far from obstacles as a robot's is, and not beside specks."""
-        return np.asarray((self.room_m > radius_m) & (self.all_m > self.cell_m))
+    @classmethod
+    def of(cls, free: BoolArray, cell_m: float) -> OpenSpace:
+        """The open space of free cells whose border is not free. O(h w)."""
+        solid, all_m = without_specks(free, cell_m), distance(free, cell_m)
+        room_m = all_m if np.array_equal(solid, free) else distance(solid, cell_m)
+        return cls(solid, room_m, all_m, cell_m)
 
-    def on(self, lattice: Lattice) -> OpenSpace:
-        """The same in the cells of a lattice."""
-        # Without islands or specks they are one array.
-        fields = self.clearance_m, self.room_m, self.all_m
-        distinct = {id(values): values for values in fields}
-        own = {key: lattice.of(values, self.cell_m) for key, values in distinct.items()}
-        clearance, room, everything = (own[id(values)] for values in fields)
-        return OpenSpace(clearance, room, everything, lattice.cell_m)
+    def clearance_m(self, radius_m: float, island_m: float) -> Float32Array:
+        """(h, w) distance of cells from walls [m], for a robot of this radius.
+
+        What it does not fit between is one obstacle; those up to `island_m` which touch no border
+        are driven round, but are no walls: furniture moves.
+        """
+        blocked = self.room_m <= radius_m
+        filled = without_islands(self.free, island_m / self.cell_m, blocked)
+        same = np.array_equal(filled, self.free)
+        return self.room_m if same else distance(filled, self.cell_m)
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,20 +127,6 @@ def _in_line(points: FloatArray, turn: float) -> float:
         counts = np.bincount((across - across.min()).astype(np.int64))
         out += float(np.sum(counts.astype(np.float64) ** 2))
     return out
-
-
-def open_space(free: BoolArray, cell_m: float, radius_m: float, island_m: float) -> OpenSpace:
-    """The open space of free cells (h, w) whose border is not free.
-
-    radius_m: of the robot. What it does not fit between is one obstacle; those up to `island_m`
-    which touch no border are driven round, but make no junctions: furniture moves. O(h w).
-    """
-    solid = without_specks(free, cell_m)
-    everything = distance(free, cell_m)
-    room = everything if np.array_equal(solid, free) else distance(solid, cell_m)
-    filled = without_islands(solid, island_m / cell_m, room <= radius_m)
-    clearance = room if np.array_equal(filled, solid) else distance(filled, cell_m)
-    return OpenSpace(clearance, room, everything, cell_m)
 
 
 def without_specks(free: BoolArray, cell_m: float) -> BoolArray:

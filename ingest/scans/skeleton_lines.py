@@ -11,6 +11,7 @@ from scipy.sparse.csgraph import dijkstra
 from ...topology.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from ...topology.connected import connected
 from ...topology.errors import DataError
+from .grid import Labels
 
 SHORTEST_CELLS = 5.0
 """Least mean number of cells per line: floors of 6,000 rooms, in the largest cells that they are
@@ -38,7 +39,7 @@ class Lines:
     """
 
     cells: IntArray
-    line: IntArray
+    line: Labels
     fork_xy: FloatArray
     fork_clearance_m: FloatArray
     fork_cells: FloatArray
@@ -93,16 +94,16 @@ def lines_of(
     )
 
 
-def _numbered(part: IntArray, marked: BoolArray) -> IntArray:
+def _numbered(part: IntArray, marked: BoolArray) -> Labels:
     """(c,) number of each marked cell's part among those of marked cells, from 1 on; 0 of
     others."""
-    out = np.zeros(len(part), np.int64)
+    out = np.zeros(len(part), np.int32)
     out[marked] = np.unique(part[marked], return_inverse=True)[1] + 1
     return out
 
 
 def _traced(
-    cells: IntArray, line: IntArray, fork: IntArray, beside: tuple[IntArray, FloatArray]
+    cells: IntArray, line: Labels, fork: Labels, beside: tuple[Labels, FloatArray]
 ) -> tuple[IntArray, FloatArray, IntArray]:
     """The rows of the cells (c, 2) of lines, one line after another, each from one end to the
     other; length (l + 1,) of every line in cells, including its ends in the forks; fork (l + 1, 2)
@@ -134,12 +135,12 @@ def _traced(
     return order[line[order] > 0], length, ends
 
 
-def _neighbours(cells: IntArray) -> tuple[IntArray, FloatArray]:
+def _neighbours(cells: IntArray) -> tuple[Labels, FloatArray]:
     """(2, p) the numbers of adjacent cells of a list (c, 2), every pair once, and (p,) their
     distances in cells."""
     number = np.full(cells.max(axis=0, initial=0) + 3, -1, np.int32)
-    rows, columns = cells.T + 1
-    number[rows, columns] = own = np.arange(len(cells))
+    rows, columns = (cells.T + 1).astype(np.int32)
+    number[rows, columns] = own = np.arange(len(cells), dtype=np.int32)
     pairs, steps = [], []
     for dy, dx in ((0, 1), (1, 0), (1, 1), (1, -1)):
         beside = number[rows + dy, columns + dx]
