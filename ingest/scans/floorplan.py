@@ -14,6 +14,7 @@ from ...topology.polyline import leaving_over, way_of
 from ...topology.se2 import wrap
 from .crossing import crossings, with_crossings
 from .grid import GridSettings, extents, labelled
+from .junctions import JUNCTIONS
 from .open_space import Lattice, OpenSpace, distance, wall_yaw
 from .rooms import Rooms, door_nodes, doors, with_rooms
 from .skeleton import Edge, Node, SkeletonGraph, SkeletonSettings, thin, traced
@@ -32,7 +33,7 @@ class FloorplanSettings:
     way into the unknown needs to show some corridor: walls have gaps."""
     island_m: float = GridSettings().island_m
     """Smaller isolated obstacles are driven round, but make no junctions."""
-    agree_m: float = 0.7
+    agree_m: float = JUNCTIONS.together_m
     """A variant agrees on a junction if it has one within this distance with as many branches."""
     unknown_m: float = 0.5
     """In one variant as much of the free space beside the unknown is unknown, too: junctions

@@ -27,8 +27,6 @@ class GridSettings:
     wall_share: float = 0.15
     """A wall is hit by at least `wall_hits` keyframes, and by this share of its observations;
     people walking by are hit by few."""
-    free_looks: int = 1
-    """Keyframes that must have seen through a free cell."""
     strip_m: float = 0.3
     """Half the width of the strip along the track that is free because the robot drove there."""
     island_m: float = 2.0
@@ -172,7 +170,7 @@ def free_space(window: Window, settings: GridSettings) -> BoolArray:
     """(s, s) free cells: seen through or driven over, and not walls; islands are removed."""
     observed = window.hit + window.free
     wall = (window.hit >= settings.wall_hits) & (window.hit > settings.wall_share * observed)
-    free = (window.free >= settings.free_looks) & ~wall
+    free = (window.free > 0) & ~wall
     strip = ndimage.binary_dilation(window.driven, disc(round(settings.strip_m / settings.cell_m)))
     return without_islands(free | strip, settings.island_m / settings.cell_m)
 
