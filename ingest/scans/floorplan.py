@@ -303,13 +303,11 @@ def _floorplan(graph: SkeletonGraph, known: Sequence[Place], axes: _Axes) -> Flo
             ends = graph.nodes[target].ends
             target_branch = len(ends) - 1 - ends[::-1].index(number)
             line[-1] = places[target].xy
-            way = _way(line, axes)
         else:
             kind, line = _ended(line, axes)
-            beyond_m = graph.nodes[source].clearance_m
-            if kind == "frontier" and way_of(line)[-1] <= beyond_m:
+            if kind == "frontier" and way_of(line)[-1] <= graph.nodes[source].clearance_m:
                 continue
-            way = _way(line, axes) or _drivable_part(line, axes, beyond_m)
+        way = _way(line, axes)
         if way is None:
             blocked += 1
             continue
@@ -336,17 +334,6 @@ def _way(line: FloatArray, axes: _Axes) -> Way | None:
     """The way along a line, within the distance of the walls from each of its points."""
     reach_m = axes.clearance_m[axes.drivable.at(line)].astype(np.float64)
     return drivable_way(line, axes.drivable, reach_m)
-
-
-def _drivable_part(line: FloatArray, axes: _Axes, beyond_m: float) -> Way | None:
-    """The way along a line as far as it can be driven straight, if that is beyond the disc around
-    its junction."""
-    fits = axes.drivable.cells[axes.drivable.at(line)]
-    fits[0] = True
-    until = len(line) if fits.all() else int(np.argmin(fits))
-    if until < 2 or way_of(line[:until])[-1] <= beyond_m:
-        return None
-    return _way(line[:until], axes)
 
 
 HEADING_M = 1.0
