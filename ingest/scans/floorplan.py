@@ -62,10 +62,7 @@ class FloorplanSettings:
         space, and of the skeleton."""
         s = self.skeleton
         return (
-            (0.0, replace(s, clearance_m=0.8 * s.clearance_m)),
-            (0.0, replace(s, clearance_m=1.3 * s.clearance_m)),
-            (0.0, s.with_spurs(0.7)),
-            (0.0, s.with_spurs(1.4)),
+            *((0.0, other) for other in s.variants),
             (0.0, replace(s, join_m=1.3 * s.join_m)),
             (self.unknown_m, s),
         )

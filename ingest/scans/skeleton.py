@@ -38,9 +38,15 @@ class SkeletonSettings:
     """A branch's heading is measured at a distance of `chord_m`, or of the node's clearance plus
     this."""
 
-    def with_spurs(self, factor: float) -> SkeletonSettings:
-        """The same, with spurs of `factor` times the length pruned."""
-        return replace(self, spur_m=factor * self.spur_m)
+    @property
+    def variants(self) -> tuple[SkeletonSettings, ...]:
+        """Four variations, each in one parameter."""
+        return (
+            replace(self, clearance_m=0.8 * self.clearance_m),
+            replace(self, clearance_m=1.3 * self.clearance_m),
+            replace(self, spur_m=0.8 * self.spur_m),
+            replace(self, spur_m=1.25 * self.spur_m),
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
