@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from topobatch.ingest.scans.floorplan import Floorplan, Place
+from topobatch.ingest.scans.rooms import doors
+from topobatch.ingest.scans.skeleton import Edge, Node, SkeletonGraph
 
 from .plans import planned
 
@@ -61,3 +63,10 @@ def test_a_room_with_two_doors_has_a_way_to_each() -> None:
     plan = planned(floor(HALL, *ROOMS, beyond, *DOORS, second, size=SIZE), CELL)
     (room,) = [p for p in of_kind(plan, "room") if 5.2 < p.xy[0] < 10.0]
     assert len(room.branches) == 2
+
+
+def test_a_door_is_a_cell_of_its_edge_however_large_cells_are() -> None:
+    wide, narrow = (Node(np.zeros(2), clear, (0,)) for clear in (0.9, 0.45))
+    edge = Edge((0, 1), np.array([[1, 1]]), 0.6)
+    graph = SkeletonGraph((wide, narrow), (edge,), np.full((3, 3), 0.33), 1 / 3)
+    assert [door.at for door in doors(graph)] == [0]
