@@ -28,8 +28,9 @@ from .scans.floorplan import (
     Corridor,
     Floorplan,
     FloorplanSettings,
+    Ground,
     Place,
-    skeleton_graph,
+    plan,
 )
 from .scans.open_space import distance
 from .scans.views import grid_views, too_large
@@ -134,13 +135,14 @@ def _best_plan(grid: Grid, settings: FloorplanSettings) -> tuple[FloorplanSettin
     ends the search. A room with pillars has junctions between these alone; the more rooms of a
     small home, the narrower the doors that a robot fits through."""
     frontier = grid.free & binary_dilation(grid.unknown)
+    ground = Ground.of(grid.free, frontier, grid.resolution_m, settings.skeleton.clearance_m)
     most = -1
     for other in (settings, settings.among_pillars, settings.through_narrow_doors):
-        plan = skeleton_graph(grid.free, grid.resolution_m, other, frontier)
-        kinds = [place.kind for place in plan.places]
+        found = plan(ground, other)
+        kinds = [place.kind for place in found.places]
         count = kinds.count("junction") + kinds.count("room")
         if count > most:
-            most, best = count, (other, plan)
+            most, best = count, (other, found)
         if "junction" in kinds:
             break
     return best

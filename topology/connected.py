@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from .arrays import IntArray
 
 
-def connected(one: IntArray, other: IntArray, count: int) -> IntArray:
+def connected(one: NDArray[Any], other: NDArray[Any], count: int) -> IntArray:
     """(count,) connected component of each of `count` nodes, numbered by their first nodes.
 
     one, other: (k,) nodes at the two ends of each link. O(count + k).

@@ -8,14 +8,14 @@ measured farther out, if the branches are corridors.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
 from scipy.special import expit, logit
 
-from ...topology.arrays import BoolArray, Float32Array, FloatArray
+from ...topology.arrays import BoolArray, FloatArray, IntArray
 from ...topology.se2 import wrap
 from .grid import GridSettings
 from .skeleton import Node, SkeletonGraph, SkeletonSettings
@@ -64,27 +64,31 @@ class BendTally:
         likelihood = np.exp(self.log - self.log.max())
         return float((likelihood * SHARES).sum() / likelihood.sum())
 
-    def add(self, odds: Sequence[float]) -> None:
-        """Add axes with log odds [nats] that each bends, by its own cells alone."""
-        bent = np.logaddexp(np.log1p(-SHARES), np.log(SHARES) + np.array(odds)[:, None])
+    def add(self, odds: FloatArray) -> None:
+        """Add axes with log odds (k,) [nats] that each bends, by its own cells alone."""
+        bent = np.logaddexp(np.log1p(-SHARES), np.log(SHARES) + odds[:, None])
         self.log += self.weight * bent.sum(axis=0)
 
 
-def placed(graph: SkeletonGraph, node: Node, tally: BendTally | None = None) -> Node:
-    """A node of a graph at the crossing of the axes of its branches.
+def placed(
+    graph: SkeletonGraph, nodes: Sequence[Node], tally: BendTally | None = None
+) -> list[Node]:
+    """Nodes of a graph, each at the crossing of the axes of its branches.
 
-    tally: of the axes seen before, updated, None if there is none.
+    tally: of the axes seen before, updated, None if there is none. Vectorised over the nodes of
+    one degree.
     """
     tally = BendTally() if tally is None else tally
-    usual, seen = tally.usual, [_Cells.of(graph, way, node) for way in node.ends]
-    begins = _begins(node, seen).tolist()
-    branches = [
-        _branch(cells, node, begin, graph.cell_m, usual=usual, ring=node.ends.count(way) > 1)
-        for way, cells, begin in zip(node.ends, seen, begins, strict=True)
-    ]
-    tally.add([branch.axis.bend.odds for branch in branches if branch.axis is not None])
-    xy, sigma_m = _centre(node, branches)
-    return Node(xy, node.clearance_m, node.ends, sigma_m)
+    usual, out = tally.usual, list(nodes)
+    degrees = np.array([len(node.ends) for node in nodes])
+    for degree in np.unique(degrees).tolist():
+        alike = np.flatnonzero(degrees == degree).tolist()
+        forks = _Forks.of(graph, [nodes[k] for k in alike])
+        bearings, axes = _axes(forks, usual)
+        tally.add(axes.bend.odds)
+        for k, xy, sigma_m in zip(alike, *_centres(forks, bearings, axes), strict=True):
+            out[k] = replace(nodes[k], xy=xy, sigma_m=sigma_m)
+    return out
 
 
 def crossing(graph: SkeletonGraph, node: Node, settings: SkeletonSettings) -> Node:
@@ -130,12 +134,9 @@ def crossings(
     """Nodes `numbers` of a graph, placed; tally: see `placed`. Two ends of one edge whose
     axes cross at one point are merged: a skeleton may show a crossing of many branches as two forks
     farther apart than `join_m`, whose centres are nearer."""
-    found = {
-        k: placed(graph, graph.nodes[k], tally)
-        if graph.nodes[k].clearance_m <= settings.axes_m
-        else graph.nodes[k]
-        for k in numbers
-    }
+    found = {k: graph.nodes[k] for k in numbers}
+    narrow = [k for k, node in found.items() if node.clearance_m <= settings.axes_m]
+    found |= zip(narrow, placed(graph, [found[k] for k in narrow], tally), strict=True)
     joints: dict[int, tuple[int, int]] = {}
     for way, edge in enumerate(graph.edges):
         a, b = edge.nodes
@@ -147,7 +148,7 @@ def crossings(
             continue
         ends = tuple(k for k in (*one.ends, *other.ends) if k != way)
         amid = Node(0.5 * (one.xy + other.xy), max(one.clearance_m, other.clearance_m), ends)
-        found[a] = placed(graph, amid, tally)
+        (found[a],) = placed(graph, [amid], tally)
         del found[b]
         joints[way] = b, a
     return Crossings(found, joints)
@@ -173,198 +174,233 @@ def with_crossings(graph: SkeletonGraph, settings: SkeletonSettings) -> Skeleton
 
 
 class _Bend(NamedTuple):
-    """Bend of an axis: at s [m] along it from its middle, it deviates by bent (s² - spread - skew
-    s), with the variance `variance` of `bent`.
+    """Bends of axes (a,): at s [m] along one from its middle, it deviates by bent (s² - spread -
+    skew s), with the variance `variance` of `bent`.
 
     odds: log odds [nats] that it bends, by its cells alone; left: mean squared residual of its
     cells [m²].
     """
 
-    spread: float
-    skew: float
-    bent: float
-    variance: float
-    odds: float
-    left: float
+    spread: FloatArray
+    skew: FloatArray
+    bent: FloatArray
+    variance: FloatArray
+    odds: FloatArray
+    left: FloatArray
 
 
-class _Axis(NamedTuple):
-    """The axis of a branch: middle (2,), normal (2,) there, variance of its lateral position [m²]
-    and of its direction [rad²], and its bend."""
+class _Axes(NamedTuple):
+    """Axes of branches: fork (a,) of each, middle (a, 2), normal (a, 2) there, variance (a,) of its
+    lateral position [m²] and of its direction [rad²], and its bend."""
 
+    fork: IntArray
     middle: FloatArray
     normal: FloatArray
-    variance: float
-    turn_variance: float
+    variance: FloatArray
+    turn_variance: FloatArray
     bend: _Bend
 
 
-class _Branch(NamedTuple):
-    """A branch beyond the widening of its node: bearing [rad] of its axis or, without one, of the
-    centroid of its cells."""
+class _Forks(NamedTuple):
+    """Forks (n,) of b branches each, and the cells (c,) of these: xy (n, 2), clearance_m (n,); ring
+    (n b,): whether both ends of the branch's edge are at its fork; branch (c,) of each cell, its
+    offset (c, 2) and distance (c,) from its fork [m], and its distance from walls (c,) [m]."""
 
-    bearing: float
-    axis: _Axis | None
-
-
-class _Cells(NamedTuple):
-    """Cells of a branch: their offsets (n, 2) and distances (n,) from its node [m], and their
-    clearance (n,) [m]."""
-
+    xy: FloatArray
+    clearance_m: FloatArray
+    ring: BoolArray
+    branch: IntArray
     away: FloatArray
     distance: FloatArray
-    clearance_m: Float32Array | FloatArray
+    cell_clearance_m: FloatArray
+    cell_m: float
 
     @classmethod
-    def of(cls, graph: SkeletonGraph, way: int, node: Node) -> _Cells:
-        """The cells of an edge of a graph, relative to one of its nodes."""
-        edge = graph.edges[way]
-        away = edge.away(node.xy, graph.cell_m)
-        return cls(away, np.hypot(away[:, 0], away[:, 1]), graph.clearance_m[tuple(edge.cells.T)])
+    def of(cls, graph: SkeletonGraph, nodes: Sequence[Node]) -> _Forks:
+        """Nodes of a graph, all of one degree."""
+        xy = np.array([node.xy for node in nodes])
+        ways = [graph.edges[way].cells for node in nodes for way in node.ends]
+        ring = np.array([node.ends.count(way) > 1 for node in nodes for way in node.ends])
+        branch = np.repeat(np.arange(len(ways)), [len(cells) for cells in ways])
+        cells = np.concatenate(ways)
+        away = cells[:, ::-1] * graph.cell_m - xy[branch // len(nodes[0].ends)]
+        clear = graph.clearance_m[tuple(cells.T)].astype(np.float64)
+        narrowest = np.array([node.clearance_m for node in nodes])
+        return cls(xy, narrowest, ring, branch, away, np.hypot(*away.T), clear, graph.cell_m)
 
-    def axis(self, begin_m: float) -> tuple[BoolArray, FloatArray]:
-        """(n,) which cells an axis that begins at `begin_m` is fitted to, and their offsets; all
-        offsets if there are none."""
-        beyond = (self.distance >= begin_m) & (self.distance <= begin_m + AXIS_M)
-        return beyond, self.away[beyond] if beyond.any() else self.away
+    def beyond(self, begin_m: FloatArray) -> tuple[BoolArray, IntArray, FloatArray]:
+        """(c,) the cells of branches that axes which begin at `begin_m` (n, b) are fitted to, and
+        (n b,) their number; the sum (n b, 2) of their offsets, of all offsets where there are none.
+        """
+        count, begin = len(self.ring), begin_m.ravel()[self.branch]
+        beyond = (self.distance >= begin) & (self.distance <= begin + AXIS_M)
+        number = np.bincount(self.branch[beyond], minlength=count)
+        own = beyond | (number == 0)[self.branch]
+        sums = [np.bincount(self.branch[own], off[own], count) for off in self.away.T]
+        return beyond, number, np.stack(sums, axis=1)
 
 
-def _begins(node: Node, branches: Sequence[_Cells]) -> FloatArray:
-    """(b,) distance at which the widening of each branch of a node ends [m]: its clearance or, for
+def _begins(forks: _Forks) -> FloatArray:
+    """(n, b) distance at which the widening of each branch ends [m]: its fork's clearance or, for
     corridors of equal width at an acute angle a, cot(a / 2) half widths, where their walls meet."""
-    toward = np.array([cells.axis(node.clearance_m)[1].sum(axis=0) for cells in branches])
+    n = len(forks.xy)
+    clearance = np.repeat(forks.clearance_m[:, None], len(forks.ring) // n, axis=1)
+    _, _, toward = forks.beyond(clearance)
+    bearings = np.arctan2(toward[:, 1], toward[:, 0]).reshape(n, -1)
+    apart = np.abs(wrap(bearings[:, :, None] - bearings[:, None]))
+    apart += np.pi * np.eye(bearings.shape[1])
+    a = np.clip(apart.min(axis=1), *ANGLES_RAD)
+    return np.asarray(clearance * np.maximum(1.0, 1 / np.tan(a / 2) / (1 + _towards(a))))
+
+
+def _axes(forks: _Forks, usual: float) -> tuple[FloatArray, _Axes]:
+    """The bearings (n, b) [rad] of branches beyond the widening of their forks, and the axes of
+    those that are corridors: nearly straight and of constant width, up to the rounding of cells.
+    The bearing of others is that of the centroid of their cells.
+
+    usual: prior probability that an axis bends.
+    """
+    beyond, number, toward = forks.beyond(_begins(forks))
     bearings = np.arctan2(toward[:, 1], toward[:, 0])
-    apart = np.abs(wrap(bearings[:, None] - bearings))
-    np.fill_diagonal(apart, np.pi)
-    a = np.clip(apart.min(axis=0), *ANGLES_RAD)
-    return np.asarray(node.clearance_m * np.maximum(1.0, 1 / np.tan(a / 2) / (1 + _towards(a))))
-
-
-def _branch(
-    seen: _Cells,
-    node: Node,
-    begin_m: float,
-    cell_m: float,
-    *,
-    usual: float,
-    ring: bool,
-) -> _Branch:
-    """A branch with its axis, if it is a corridor: nearly straight and of constant width, up to the
-    rounding of cells.
-
-    begin_m: distance of its start from the node [m]; usual: prior probability that the axis bends;
-    ring: whether both ends of the edge are at this node.
-    """
-    beyond, own = seen.axis(begin_m)
-    middle = own.sum(axis=0) / max(len(own), 1)
-    without = _Branch(float(np.arctan2(middle[1], middle[0])), None)
     # Two cells make a line, where cells are large.
-    if ring or np.count_nonzero(beyond) < max(0.4 * AXIS_M / cell_m, 2):
-        return without
-    rounding, wide = max(cell_m, ROUGH_M) ** 2 / 12, float(seen.clearance_m[beyond].var())
-    u, v = (own - middle).T
-    angle = 0.5 * np.arctan2(2 * float(u @ v), float(u @ u) - float(v @ v))
-    if np.cos(angle) * middle[0] + np.sin(angle) * middle[1] < 0:
-        angle += np.pi
-    c, s = np.cos(angle), np.sin(angle)
-    bend = _bend(c * u + s * v, c * v - s * u, (rounding, wide), usual)
-    unlike = 0.5 * (max(bend.left, 0.0) + wide) / rounding
+    long = ~forks.ring & (number >= max(0.4 * AXIS_M / forks.cell_m, 2))
+    cells = beyond & long[forks.branch]
+    lines, line = np.flatnonzero(long), (np.cumsum(long) - 1)[forks.branch[cells]]
+    count = number[lines]
+
+    def mean(values: FloatArray) -> FloatArray:
+        return np.asarray(np.bincount(line, values, len(lines)) / count)
+
+    middle, clear = toward[lines] / count[:, None], forks.cell_clearance_m[cells]
+    rounding = max(forks.cell_m, ROUGH_M) ** 2 / 12
+    wide = mean((clear - mean(clear)[line]) ** 2)
+    u, v = (forks.away[cells] - middle[line]).T
+    angle = 0.5 * np.arctan2(2 * mean(u * v), mean(u * u) - mean(v * v))
+    angle += np.pi * (np.cos(angle) * middle[:, 0] + np.sin(angle) * middle[:, 1] < 0)
+    normal = np.stack([-np.sin(angle), np.cos(angle)], axis=1)
+    s, c = -normal[line, 0], normal[line, 1]
+    readings = np.minimum(count, AXIS_M / APART_M)
+    bend = _bend(mean, (c * u + s * v, c * v - s * u), readings, (rounding, wide), usual)
+    unlike = 0.5 * (np.maximum(bend.left, 0.0) + wide) / rounding
     # Beyond three sigma it is none; exp would overflow.
-    if unlike >= 4.5:
-        return without
-    of_mean = float(np.exp(unlike)) * rounding / len(own)
+    fits = unlike < 4.5
+    of_mean = np.exp(np.minimum(unlike, 4.5)) * rounding / count
+    bearings[lines[fits]] = angle[fits]
+    fork = lines // (len(forks.ring) // len(forks.xy))
+    middle += forks.xy[fork]
     # All cells of an axis along the grid are rounded alike.
-    known = (rounding + of_mean, of_mean / bend.spread)
-    return _Branch(float(angle), _Axis(middle + node.xy, np.array([-s, c]), *known, bend))
+    variances = (rounding + of_mean)[fits], (of_mean / bend.spread)[fits]
+    kept = _Bend(*(column[fits] for column in bend))
+    axes = _Axes(fork[fits], middle[fits], normal[fits], *variances, kept)
+    return bearings.reshape(len(forks.xy), -1), axes
 
 
-def _bend(along: FloatArray, across: FloatArray, noise: tuple[float, float], usual: float) -> _Bend:
-    """The bend of cells (n,) along and across the best-fitting straight line [m].
+def _bend(
+    mean: Callable[[FloatArray], FloatArray],
+    cells: tuple[FloatArray, FloatArray],
+    readings: FloatArray,
+    noise: tuple[float, FloatArray],
+    usual: float,
+) -> _Bend:
+    """The bends of axes, from their cells (c,) along and across the best-fitting straight lines
+    [m].
 
-    noise: variances [m²] of rounding, and of the corridor's width: objects in the corridor are not
-    a bend. An axis is straight, or bends by a normal number of sigma BENT_PER_M, with the prior
-    probability `usual`.
+    mean: over the cells of each axis; readings: (a,) number of independent cells; noise: variances
+    [m²] of rounding, and (a,) of the corridor's width: objects in the corridor are not a bend. An
+    axis is straight, or bends by a normal number of sigma BENT_PER_M, with the prior probability
+    `usual`.
     """
-    count, square = len(along), along * along
-    spread = float(square.sum()) / count
-    skew = float(square @ along) / count / spread
-    # Variance of s² that a straight line does not explain.
-    told = max(float(square @ square) / count - spread * spread - skew * skew * spread, 1e-9)
-    shown, strays = float(square @ across) / count, float(across @ across) / count
+    along, across = cells
     rounding, wide = noise
-    readings = min(count, AXIS_M / APART_M) / max(rounding, strays - shown * shown / told + wide)
-    if_bent = 1 / (readings * told + BENT_PER_M**-2)
-    by = if_bent * readings * shown
+    square = along * along
+    spread = mean(square)
+    skew = mean(square * along) / spread
+    # Variance of s² that a straight line does not explain.
+    told = np.maximum(mean(square * square) - spread * spread - skew * skew * spread, 1e-9)
+    shown, strays = mean(square * across), mean(across * across)
+    weight = readings / np.maximum(rounding, strays - shown * shown / told + wide)
+    if_bent = 1 / (weight * told + BENT_PER_M**-2)
+    by = if_bent * weight * shown
     odds = 0.5 * (by * by / if_bent + np.log(if_bent / BENT_PER_M**2))
-    likely = float(expit(odds + logit(usual)))
+    likely = expit(odds + logit(usual))
     bent = likely * by
     left = strays - (2 * shown - bent * told) * bent
-    return _Bend(spread, skew, bent, likely * (if_bent + (1 - likely) * by * by), float(odds), left)
+    return _Bend(spread, skew, bent, likely * (if_bent + (1 - likely) * by * by), odds, left)
 
 
-def _centre(node: Node, branches: list[_Branch]) -> tuple[FloatArray, float]:
-    """(2,) maximum-likelihood position from the axes and the node itself, within the node's disc; 1
-    sigma of each coordinate [m].
+def _centres(forks: _Forks, bearings: FloatArray, axes: _Axes) -> tuple[FloatArray, list[float]]:
+    """(n, 2) maximum-likelihood positions of forks from the axes and the forks themselves, within
+    their discs; 1 sigma of each coordinate [m].
 
-    Forks deviate more than expected at rounded corners and niches: the node has a Cauchy kernel, so
+    Forks deviate more than expected at rounded corners and niches: a fork has a Cauchy kernel, so
     that axes that agree on another point win.
     """
-    beside = aside(np.array([b.bearing for b in branches])) * node.clearance_m**2
-    axes = [branch.axis for branch in branches if branch.axis is not None]
-    if len(axes) < 2:
-        return node.xy, float(np.sqrt(0.5 * np.trace(beside)))
-    middle, normal = np.array([a.middle for a in axes]), np.array([a.normal for a in axes])
-    variance, turn = np.array([(a.variance, a.turn_variance) for a in axes]).T
-    bends = _Bend(*np.array([a.bend for a in axes]).T)
-    on_axis = np.einsum("ij,ij->i", normal, middle)
+    n = len(forks.xy)
+
+    def total(values: FloatArray) -> FloatArray:
+        """Sums over the axes of each fork."""
+        out = np.zeros((n, *values.shape[1:]))
+        np.add.at(out, axes.fork, values)
+        return out
+
+    beside = aside(bearings) * forks.clearance_m[:, None, None] ** 2
     by_fork = np.linalg.inv(beside)
-    xy, kernel, information = node.xy, 1.0, by_fork
+    normal, bend, kernel = axes.normal, axes.bend, np.ones(n)
+    xy = forks.xy
+    on_axis, outer = np.sum(normal * axes.middle, axis=1), normal[:, :, None] * normal[:, None]
     for _ in range(3):
         # The variance of an axis grows with the distance from the middle of its cells.
-        off = xy - middle
+        off = xy[axes.fork] - axes.middle
         along = off[:, 0] * normal[:, 1] - off[:, 1] * normal[:, 0]
-        bow = along * along - bends.spread - bends.skew * along
-        weight = 1.0 / (variance + turn * along * along + bends.variance * bow * bow)
-        information = kernel * by_fork + np.einsum("i,ij,ik->jk", weight, normal, normal)
-        right = kernel * by_fork @ node.xy + (weight * (on_axis + bends.bent * bow)) @ normal
-        xy = np.linalg.solve(information, right)
-        moved = xy - node.xy
-        kernel = 1 / (1 + float(moved @ by_fork @ moved))
-    # Trace of the inverse of a symmetric 2 × 2 matrix: trace / determinant.
-    sigma_m = float(np.sqrt(0.5 * np.trace(information) / np.linalg.det(information)))
-    far_off = float(np.hypot(*moved))
-    if far_off > node.clearance_m:
-        xy = node.xy + moved * (node.clearance_m / far_off)
-    return xy, sigma_m
+        bow = along * along - bend.spread - bend.skew * along
+        weight = 1 / (
+            axes.variance + axes.turn_variance * along * along + bend.variance * bow * bow
+        )
+        prior = kernel[:, None, None] * by_fork
+        information = prior + total(weight[:, None, None] * outer)
+        right = prior @ forks.xy[:, :, None]
+        right[:, :, 0] += total((weight * (on_axis + bend.bent * bow))[:, None] * normal)
+        xy = np.asarray(np.linalg.solve(information, right)[:, :, 0], np.float64)
+        moved = xy - forks.xy
+        kernel = 1 / (1 + np.einsum("ni,nij,nj->n", moved, by_fork, moved))
+    far = np.maximum(np.hypot(*moved.T) / forks.clearance_m, 1.0)
+    crossed = np.bincount(axes.fork, minlength=n) >= 2
+    covariance = np.where(crossed[:, None, None], np.linalg.inv(information), beside)
+    sigma_m = np.sqrt(0.5 * np.trace(covariance, axis1=1, axis2=2))
+    return forks.xy + np.where(crossed, 1 / far, 0.0)[:, None] * moved, sigma_m.tolist()
 
 
 def aside(bearings: FloatArray) -> FloatArray:
-    """(2, 2) covariance of the offset of a fork from where the axes cross, in squared clearances.
+    """(n, 2, 2) covariances of the offsets of forks with branches at `bearings` (n, b) from where
+    the axes cross, in squared clearances.
 
     For a corridor of half width h and one of equal width that leaves it at an angle a, the disc
     that touches the far wall and both corners lies h cot a along and h / (4 sin² a) aside, and its
     radius exceeds h by the latter. Because corridors bend, h cot a counts in every direction. Where
     two corridors cross, the fork is at their centre.
     """
-    least = FORK_SHARE**2 * np.eye(2)
-    if len(bearings) != 3:
+    n, degree = bearings.shape
+    least = np.broadcast_to(FORK_SHARE**2 * np.eye(2), (n, 2, 2))
+    if degree != 3:
         return least
-    turned = np.sort(bearings)
+    turned = np.sort(bearings, axis=1)
     # The two that are most nearly opposite are the corridor that the third one leaves.
-    third = (int(np.argmax(np.abs(wrap(turned - np.roll(turned, 1))))) + 1) % 3
-    corridor = np.delete(turned, third)
-    a = np.clip(np.abs(wrap(turned[third] - corridor)).min(), *ANGLES_RAD)
+    third = np.argmax(np.abs(wrap(turned - np.roll(turned, 1, axis=1))), axis=1) + 1
+    leaves, *corridor = np.take_along_axis(turned, (third[:, None] + np.arange(3)) % 3, axis=1).T
+    a = np.clip(np.abs(wrap(leaves - np.array(corridor))).min(axis=0), *ANGLES_RAD)
     towards = _towards(a)
     # Both ends are used: which one sorts first is arbitrary where one points along the grid.
     s, c = (of(corridor[0]) - of(corridor[1]) for of in (np.sin, np.cos))
-    across = np.array([-s, c]) / np.hypot(s, c)
-    spread = np.tan(a) ** -2.0 * np.eye(2) + towards**2 * np.outer(across, across)
-    return np.asarray(least + spread / (1 + towards) ** 2)
+    across = np.stack([-s, c], axis=1) / np.hypot(s, c)[:, None]
+    along, beside = np.tan(a) ** -2.0, towards**2
+    spread = along[:, None, None] * np.eye(2)
+    spread += beside[:, None, None] * across[:, :, None] * across[:, None]
+    return np.asarray(least + spread / ((1 + towards) ** 2)[:, None, None])
 
 
-def _towards(angle: FloatArray | float) -> FloatArray | float:
+def _towards(angle: FloatArray) -> FloatArray:
     """Radius of the disc at a fork minus that of its corridors, in half widths."""
-    return 0.25 / np.sin(angle) ** 2
+    return np.asarray(0.25 / np.sin(angle) ** 2)
 
 
 def _headings(

@@ -7,27 +7,19 @@ from dataclasses import dataclass, field, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
-from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from ...topology.arrays import BoolArray, Float32Array, FloatArray
+from ...topology.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from ...topology.polyline import leaving_over, way_of
 from ...topology.se2 import wrap
 from .crossing import crossings, with_crossings
-from .grid import GridSettings
-from .open_space import Lattice, distance, open_space, wall_yaw
+from .grid import GridSettings, extents, labelled
+from .junctions import JUNCTIONS
+from .open_space import Lattice, OpenSpace, distance, wall_yaw
 from .rooms import Rooms, door_nodes, doors, with_rooms
 from .skeleton import Edge, Node, SkeletonGraph, SkeletonSettings, thin, traced
-from .skeleton_lines import Lines, labelled, lines_of
+from .skeleton_lines import Lines, lines_of
 from .ways import Drivable, Way, drivable_way
-
-
-class Variant(NamedTuple):
-    """One variant of the settings: of the skeleton, and how far [m] the unknown reaches into the
-    free space."""
-
-    skeleton: SkeletonSettings
-    unknown_m: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,11 +33,11 @@ class FloorplanSettings:
     way into the unknown needs to show some corridor: walls have gaps."""
     island_m: float = GridSettings().island_m
     """Smaller isolated obstacles are driven round, but make no junctions."""
-    agree_m: float = 0.7
+    agree_m: float = JUNCTIONS.together_m
     """A variant agrees on a junction if it has one within this distance with as many branches."""
     unknown_m: float = 0.5
-    """In one variant as much of the free space beside the unknown is unknown, too: junctions that
-    change by it depend on what was not explored."""
+    """In one variant as much of the free space beside the unknown is unknown, too: junctions
+    that change by it depend on what was not explored."""
 
     @classmethod
     def of_robot(cls, radius_m: float) -> FloorplanSettings:
@@ -65,17 +57,14 @@ class FloorplanSettings:
         return FloorplanSettings.of_robot(0.5 * self.skeleton.clearance_m)
 
     @property
-    def variants(self) -> tuple[Variant, ...]:
-        """The settings and six variations, each in one parameter."""
+    def variants(self) -> tuple[tuple[float, SkeletonSettings], ...]:
+        """Six variations, each in one parameter: how far [m] the unknown reaches into the free
+        space, and of the skeleton."""
         s = self.skeleton
         return (
-            Variant(s),
-            Variant(replace(s, clearance_m=0.8 * s.clearance_m)),
-            Variant(replace(s, clearance_m=1.3 * s.clearance_m)),
-            Variant(s.with_spurs(0.7)),
-            Variant(s.with_spurs(1.4)),
-            Variant(replace(s, join_m=1.3 * s.join_m)),
-            Variant(s, self.unknown_m),
+            *((0.0, other) for other in s.variants),
+            (0.0, replace(s, join_m=1.3 * s.join_m)),
+            (self.unknown_m, s),
         )
 
 
@@ -123,54 +112,57 @@ class Floorplan(NamedTuple):
     blocked: int = 0
 
 
-def skeleton_graph(
-    free: BoolArray,
-    resolution_m: float,
-    settings: FloorplanSettings = FloorplanSettings(),
-    frontier: BoolArray | None = None,
-) -> Floorplan:
-    """Places and corridors of free space (h, w), row 0 at the smallest y, column 0 at the smallest
-    x.
+class Ground(NamedTuple):
+    """What plans of a grid by all settings have in common: its open space, (h, w) the distance of
+    frontiers [m], and the direction of walls [rad]."""
 
-    frontier: (h, w) free cells next to unknown ones; none by default. A corridor that ends without
-    a junction gets a dead end; one that leads into the unknown ends at a frontier, if it leads
-    farther than the disc around its junction. Loops without a junction are left out.
-    O(h w log(h w)).
+    space: OpenSpace
+    unknown_m: Float32Array
+    yaw: float
+
+    @classmethod
+    def of(
+        cls, free: BoolArray, frontier: BoolArray, resolution_m: float, radius_m: float
+    ) -> Ground:
+        """Of free cells (h, w), row 0 at the smallest y, column 0 at the smallest x, and those of
+        them next to unknown ones; frontiers are as wide as a robot of this radius."""
+        free, frontier = (np.pad(np.asarray(cells, bool), 1) for cells in (free, frontier))
+        return cls(
+            OpenSpace.of(free, resolution_m),
+            _unknown_m(frontier, resolution_m, 2 * radius_m),
+            wall_yaw(free, frontier, resolution_m),
+        )
+
+
+def plan(ground: Ground, settings: FloorplanSettings) -> Floorplan:
+    """Places and corridors of a grid.
+
+    A corridor that ends without a junction gets a dead end; one that leads into the unknown ends at
+    a frontier, if it leads farther than the disc around its junction. Loops without a junction are
+    left out. O(h w log(h w)).
     """
-    free = np.asarray(free, bool)
-    if not free.any():
+    if not ground.space.free.any():
         return Floorplan((), ())
-    free = np.pad(free, 1)
-    edge = np.zeros_like(free) if frontier is None else np.pad(np.asarray(frontier, bool), 1)
-    yaw = wall_yaw(free, edge, resolution_m)
-
-    def axes_of(unknown_m: float) -> _Axes:
-        left = free
-        if unknown_m and edge.any():
-            left = free & (distance(~edge, 1.0) > unknown_m / resolution_m)
-        return _Axes.of(left, edge, resolution_m, yaw, settings)
-
-    base = axes_of(0.0)
+    base, lattice = _axes(ground, settings)
     graph = with_crossings(base.graph(settings.skeleton), settings.skeleton)
     if not graph.nodes and not doors(graph):
         return Floorplan((), ())
     if len(graph.nodes) < FEW_JUNCTIONS:
-        rooms = with_rooms(graph, base.opening, base.drivable, settings.skeleton)
+        rooms = with_rooms(graph, base.opening(), base.drivable, settings.skeleton)
     else:
         rooms = Rooms(graph, [*range(len(graph.nodes))], [], [], [], 0)
     own = [*(graph.nodes[k] for k in rooms.kept), *rooms.graph.nodes[rooms.first_door :]]
     others = []
-    for skeleton, unknown_m in settings.variants[1:] if own else ():
-        axes = axes_of(unknown_m) if unknown_m else base
-        other = axes.graph(skeleton)
-        found = crossings(other, range(len(other.nodes)), skeleton)
-        others.append(list(found.places.values()))
+    for unknown_m, skeleton in settings.variants if own else ():
+        other = (base.less(unknown_m) if unknown_m else base).graph(skeleton)
+        places = crossings(other, range(len(other.nodes)), skeleton).places
+        others.append(list(places.values()))
         if rooms.doors:
             others[-1] += door_nodes(other, doors(other))
-    places = _known_places(rooms, _agreement(own, others, settings), base.drivable)
-    plan = _floorplan(rooms.graph, places, base)
-    plan = plan._replace(blocked=plan.blocked + rooms.lost)
-    return _from_corner(plan, base.lattice, resolution_m)
+    known = _known_places(rooms, _agreement(own, others, settings), base.drivable)
+    found = _floorplan(rooms.graph, known, base)
+    found = found._replace(blocked=found.blocked + rooms.lost)
+    return _from_corner(found, lattice, ground.space.cell_m)
 
 
 CELL_M = 0.05
@@ -189,73 +181,71 @@ MOST_PEELED = 1 << 27
 second; wider spaces are traced in larger cells."""
 
 
-@dataclass(slots=True, eq=False)
-class _Axes:
-    """The skeleton of an open space, in a lattice along its walls.
+def _unknown_m(frontier: BoolArray, cell_m: float, least_m: float) -> Float32Array:
+    """(h, w) distance from frontiers of width `least_m` or more [m]; larger than the
+    grid if there are none."""
+    label, _ = labelled(frontier)
+    wide = (label > 0) & (extents(label) * cell_m >= least_m)[label]
+    if not wide.any():
+        return np.full(wide.shape, sum(wide.shape) * cell_m, np.float32)
+    return distance(~wide, cell_m)
 
-    clearance_m: (h, w) distance of walls; opening: see `_openings`; drivable: where the robot can
-    drive; lines: those for its radius, once they are traced.
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Axes:
+    """The skeletons of an open space, in the cells of a lattice.
+
+    clearance_m, unknown_m: (h, w) distances of walls, and of frontiers; drivable: where the robot
+    can drive; lines: of the skeletons traced so far, by least clearance [m].
     """
 
     clearance_m: Float32Array
-    lattice: Lattice
-    opening: BoolArray
+    unknown_m: Float32Array
     drivable: Drivable
-    lines: Lines | None = None
+    lines: dict[float, Lines] = field(default_factory=dict)
+
+    def opening(self, cells: tuple[IntArray, IntArray] | slice = np.s_[:]) -> BoolArray:
+        """Whether all or some cells are at most as far from a frontier as from any wall: corridors
+        lead on into the unknown there. A way ends up to a cell before what it ends at."""
+        clearance_m = self.clearance_m[cells]
+        return np.asarray((clearance_m > 0) & (self.unknown_m[cells] <= clearance_m + self.cell_m))
 
     @property
     def cell_m(self) -> float:
         """Side of a cell of the lattice."""
-        return self.lattice.cell_m
+        return self.drivable.cell_m
 
-    @classmethod
-    def of(
-        cls,
-        free: BoolArray,
-        frontier: BoolArray,
-        cell_m: float,
-        yaw: float,
-        settings: FloorplanSettings,
-    ) -> _Axes:
-        """frontier: free cells beside unknown ones; yaw: of the lattice."""
-        radius_m = settings.skeleton.clearance_m
-        space = open_space(free, cell_m, radius_m, settings.island_m)
-        opening = _openings(frontier, space.clearance_m, cell_m, 2 * radius_m)
-        area, wide_m = free.size * cell_m**2, float(space.clearance_m.max())
-        peeled_m = (area * wide_m / MOST_PEELED) ** (1 / 3)
-        own_m = max(CELL_M, cell_m / FINER, peeled_m, (area / MOST_CELLS) ** 0.5)
-        lattice = Lattice.along(yaw, free.shape, cell_m, own_m)
-        on = space.on(lattice)
-        drivable = Drivable.of(on, radius_m)
-        return cls(on.clearance_m, lattice, lattice.marks(opening, cell_m), drivable)
+    def less(self, unknown_m: float) -> _Axes:
+        """The same, if cells as near to a frontier as this were unknown, too."""
+        clearance_m = np.minimum(self.clearance_m, self.unknown_m - np.float32(unknown_m))
+        return _Axes(clearance_m, self.unknown_m, self.drivable)
 
     def graph(self, settings: SkeletonSettings) -> SkeletonGraph:
         """The graph of where there is the clearance of the settings."""
-        if settings.clearance_m != self.drivable.radius_m:
-            return traced(self._lines(settings.clearance_m), settings)
-        self.lines = self.lines or self._lines(settings.clearance_m)
-        return traced(self.lines, settings)
-
-    def _lines(self, least_m: float) -> Lines:
-        skeleton = thin(self.clearance_m > least_m)
-        found = lines_of(skeleton, self.clearance_m, self.cell_m, self.opening)
-        return _without_corners(found, self.opening, self.cell_m)
+        least_m = settings.clearance_m
+        if least_m not in self.lines:
+            skeleton = thin(self.clearance_m > least_m)
+            opening = self.opening()
+            lines = lines_of(skeleton, self.clearance_m, self.cell_m, opening)
+            self.lines[least_m] = _without_corners(lines, opening, self.cell_m)
+        return traced(self.lines[least_m], settings)
 
 
-def _openings(
-    frontier: BoolArray, clearance_m: Float32Array, cell_m: float, least_m: float
-) -> BoolArray:
-    """(h, w) cells at most as far from a frontier of width `least_m` as from any wall: corridors
-    that end there continue beyond. frontier: without the border that clearance_m has."""
-    out = np.zeros(clearance_m.shape, bool)
-    label, _ = labelled(np.pad(frontier, 1))
-    for number, part in enumerate(ndimage.find_objects(label), start=1):
-        if max(s.stop - s.start for s in part) * cell_m >= least_m:
-            out[part] |= label[part] == number
-    if not out.any():
-        return out
-    # Frontiers are free, walls are not; a way ends up to a cell before what it ends at.
-    return np.asarray(clearance_m > 0) & (distance(~out, cell_m) <= clearance_m + cell_m)
+def _axes(ground: Ground, settings: FloorplanSettings) -> tuple[_Axes, Lattice]:
+    """The axes for a robot, and the lattice that they are traced in."""
+    space, radius_m = ground.space, settings.skeleton.clearance_m
+    clearance_m = space.clearance_m(radius_m, settings.island_m)
+    area, wide_m = clearance_m.size * space.cell_m**2, float(clearance_m.max())
+    peeled_m = (area * wide_m / MOST_PEELED) ** (1 / 3)
+    cell_m = max(CELL_M, space.cell_m / FINER, peeled_m, (area / MOST_CELLS) ** 0.5)
+    lattice = Lattice.along(ground.yaw, clearance_m.shape, space.cell_m, cell_m)
+    # Without islands or specks they are one array.
+    fields = clearance_m, space.room_m, space.all_m
+    distinct = {id(values): values for values in fields}
+    own = {key: lattice.of(values, space.cell_m) for key, values in distinct.items()}
+    clearance_m, room_m, all_m = (own[id(values)] for values in fields)
+    drivable = Drivable.of(room_m, all_m, radius_m, cell_m)
+    return _Axes(clearance_m, lattice.of(ground.unknown_m, space.cell_m), drivable), lattice
 
 
 def _without_corners(lines: Lines, opening: BoolArray, cell_m: float) -> Lines:
@@ -310,13 +300,11 @@ def _floorplan(graph: SkeletonGraph, known: Sequence[Place], axes: _Axes) -> Flo
             ends = graph.nodes[target].ends
             target_branch = len(ends) - 1 - ends[::-1].index(number)
             line[-1] = places[target].xy
-            way = _way(line, axes)
         else:
             kind, line = _ended(line, axes)
-            beyond_m = graph.nodes[source].clearance_m
-            if kind == "frontier" and way_of(line)[-1] <= beyond_m:
+            if kind == "frontier" and way_of(line)[-1] <= graph.nodes[source].clearance_m:
                 continue
-            way = _way(line, axes) or _drivable_part(line, axes, beyond_m)
+        way = _way(line, axes)
         if way is None:
             blocked += 1
             continue
@@ -343,17 +331,6 @@ def _way(line: FloatArray, axes: _Axes) -> Way | None:
     """The way along a line, within the distance of the walls from each of its points."""
     reach_m = axes.clearance_m[axes.drivable.at(line)].astype(np.float64)
     return drivable_way(line, axes.drivable, reach_m)
-
-
-def _drivable_part(line: FloatArray, axes: _Axes, beyond_m: float) -> Way | None:
-    """The way along a line as far as it can be driven straight, if that is beyond the disc around
-    its junction."""
-    fits = axes.drivable.cells[axes.drivable.at(line)]
-    fits[0] = True
-    until = len(line) if fits.all() else int(np.argmin(fits))
-    if until < 2 or way_of(line[:until])[-1] <= beyond_m:
-        return None
-    return _way(line[:until], axes)
 
 
 HEADING_M = 1.0
@@ -386,8 +363,9 @@ def _polyline(edge: Edge, nodes: Sequence[Node], cell_m: float) -> FloatArray | 
 def _ended(line: FloatArray, axes: _Axes) -> tuple[Literal["dead_end", "frontier"], FloatArray]:
     """What a line ends at, and the line up to there."""
     cells = axes.drivable.at(line)
-    if axes.opening[cells[0][-1], cells[1][-1]]:
-        before = np.flatnonzero(~axes.opening[cells])
+    opening = axes.opening(cells)
+    if opening[-1]:
+        before = np.flatnonzero(~opening)
         return "frontier", line[: max(2, int(before[-1]) + 2 if len(before) else 2)]
     line = _to_widest(line, axes.clearance_m, axes.cell_m)
     line[-1] = axes.drivable.moved(line[-1])

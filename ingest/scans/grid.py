@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import ndimage
 
 from ...topology.arrays import BoolArray, Float32Array, FloatArray, IntArray
@@ -26,8 +27,6 @@ class GridSettings:
     wall_share: float = 0.15
     """A wall is hit by at least `wall_hits` keyframes, and by this share of its observations;
     people walking by are hit by few."""
-    free_looks: int = 1
-    """Keyframes that must have seen through a free cell."""
     strip_m: float = 0.3
     """Half the width of the strip along the track that is free because the robot drove there."""
     island_m: float = 2.0
@@ -171,23 +170,40 @@ def free_space(window: Window, settings: GridSettings) -> BoolArray:
     """(s, s) free cells: seen through or driven over, and not walls; islands are removed."""
     observed = window.hit + window.free
     wall = (window.hit >= settings.wall_hits) & (window.hit > settings.wall_share * observed)
-    free = (window.free >= settings.free_looks) & ~wall
+    free = (window.free > 0) & ~wall
     strip = ndimage.binary_dilation(window.driven, disc(round(settings.strip_m / settings.cell_m)))
-    return without_islands(free | strip, settings)
+    return without_islands(free | strip, settings.island_m / settings.cell_m)
 
 
-def without_islands(free: BoolArray, settings: GridSettings) -> BoolArray:
-    """Free space with small isolated obstacles filled, unless they touch the border."""
-    labels, count = ndimage.label(~free, np.ones((3, 3)))
-    if count == 0:
-        return free
-    limit = settings.island_m / settings.cell_m
-    small = np.zeros(count + 1, bool)
-    rows, columns = free.shape
-    for number, (ys, xs) in enumerate(ndimage.find_objects(labels), start=1):
-        inside = ys.start > 0 and xs.start > 0 and ys.stop < rows and xs.stop < columns
-        small[number] = inside and max(ys.stop - ys.start, xs.stop - xs.start) <= limit
-    return np.asarray(free | small[labels])
+def without_islands(
+    free: BoolArray, most_cells: float, blocked: BoolArray | None = None
+) -> BoolArray:
+    """The free cells, and those of obstacles up to so many cells wide that touch no border.
+
+    blocked: what is connected there is one obstacle; by default all that is not free.
+    """
+    label, _ = labelled(~free if blocked is None else blocked)
+    at_border = np.concatenate([label[0], label[-1], label[:, 0], label[:, -1]])
+    label[free] = 0
+    small = extents(label) <= most_cells
+    small[at_border] = False
+    return np.asarray(free | small[label])
+
+
+Labels = NDArray[np.int32]
+
+
+def labelled(mask: BoolArray) -> tuple[Labels, int]:
+    """Connected components of cells (8-connectivity), numbered from 1 on, and their number."""
+    label, count = ndimage.label(mask, np.ones((3, 3), np.int8))
+    return np.asarray(label, np.int32), int(count)
+
+
+def extents(label: Labels) -> IntArray:
+    """(n + 1,) the longer side of the box around every component, in cells; 0 of what is none."""
+    boxes = ndimage.find_objects(label)
+    sides = [0, *(max(s.stop - s.start for s in box) if box else 0 for box in boxes)]
+    return np.array(sides)
 
 
 def disc(radius: int) -> BoolArray:

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from ...topology.arrays import BoolArray, Float32Array, FloatArray
 from ...topology.se2 import apply, compose, inverse
-from .grid import GridSettings, without_islands
-from .skeleton_lines import Labels, labelled
+from .grid import Labels, without_islands
 
 SPECK_M = 0.1
 """Isolated obstacles up to this size, or up to two cells, are noise of the mapper as often as
@@ -23,26 +20,32 @@ things: they are driven round, at a distance if there is room, and are no obstac
 class OpenSpace:
     """A grid (h, w), with a border of walls, as a robot sees it.
 
-    all_m: distance of the centres of cells from all that is not free [m]; room_m: from all but
-    specks; clearance_m: from walls, where small obstacles are none; cell_m: size of a cell.
+    free: free cells, and specks among them; room_m: distance of the centres of cells from all
+    others [m]; all_m: from all that is not free, specks as well; cell_m: size of a cell.
     """
 
-    clearance_m: Float32Array
+    free: BoolArray
     room_m: Float32Array
     all_m: Float32Array
     cell_m: float
 
-    def drivable(self, radius_m: float) -> BoolArray:
-        """Cells whose centres are as far from obstacles as a robot's is, and not beside specks."""
-        return np.asarray((self.room_m > radius_m) & (self.all_m > self.cell_m))
+    @classmethod
+    def of(cls, free: BoolArray, cell_m: float) -> OpenSpace:
+        """The open space of free cells whose border is not free. O(h w)."""
+        solid, all_m = without_specks(free, cell_m), distance(free, cell_m)
+        room_m = all_m if np.array_equal(solid, free) else distance(solid, cell_m)
+        return cls(solid, room_m, all_m, cell_m)
 
-    def on(self, lattice: Lattice) -> OpenSpace:
-        """The same in the cells of a lattice."""
-        clearance, room, everything = (
-            lattice.of(values, self.cell_m)
-            for values in (self.clearance_m, self.room_m, self.all_m)
-        )
-        return OpenSpace(clearance, room, everything, lattice.cell_m)
+    def clearance_m(self, radius_m: float, island_m: float) -> Float32Array:
+        """(h, w) distance of cells from walls [m], for a robot of this radius.
+
+        What it does not fit between is one obstacle; those up to `island_m` which touch no border
+        are driven round, but are no walls: furniture moves.
+        """
+        blocked = self.room_m <= radius_m
+        filled = without_islands(self.free, island_m / self.cell_m, blocked)
+        same = np.array_equal(filled, self.free)
+        return self.room_m if same else distance(filled, self.cell_m)
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,20 +81,13 @@ class Lattice:
     def of(self, values: Float32Array, cell_m: float) -> Float32Array:
         """(h, w) values of a grid with cells of `cell_m` interpolated at the centres of the
         lattice's cells; 0 beyond the grid."""
-        out: Float32Array = self._sampled(values, cell_m, 1)
-        return out
-
-    def marks(self, values: BoolArray, cell_m: float) -> BoolArray:
-        """(h, w) marks of the nearest cells of a grid."""
-        return np.asarray(self._sampled(values.view(np.uint8), cell_m, 0), bool)
-
-    def _sampled(self, values: NDArray[Any], cell_m: float, order: Literal[0, 1]) -> Any:
         c, s = np.cos(self.yaw), np.sin(self.yaw)
         turn = np.array([[c, s], [-s, c]]) * self.cell_m / cell_m
         begin = np.array(self.corner[::-1]) / cell_m
-        return ndimage.affine_transform(
-            values, turn, begin, self.shape, order=order, mode="constant"
+        out: Float32Array = ndimage.affine_transform(
+            values, turn, begin, self.shape, order=1, mode="constant"
         )
+        return out
 
 
 MOST_POINTS = 1 << 14
@@ -133,24 +129,9 @@ def _in_line(points: FloatArray, turn: float) -> float:
     return out
 
 
-def open_space(free: BoolArray, cell_m: float, radius_m: float, island_m: float) -> OpenSpace:
-    """The open space of free cells (h, w) whose border is not free.
-
-    radius_m: of the robot. What it does not fit between is one obstacle; those up to `island_m`
-    which touch no border are driven round, but make no junctions: furniture moves. O(h w).
-    """
-    solid = without_specks(free, cell_m)
-    everything = distance(free, cell_m)
-    room = everything if np.array_equal(solid, free) else distance(solid, cell_m)
-    filled = _filled(solid, room <= radius_m, island_m / cell_m)
-    clearance = room if np.array_equal(filled, solid) else distance(filled, cell_m)
-    return OpenSpace(clearance, room, everything, cell_m)
-
-
 def without_specks(free: BoolArray, cell_m: float) -> BoolArray:
     """Free cells (h, w), and specks (`SPECK_M`) among them."""
-    specks = GridSettings(cell_m=cell_m, island_m=max(SPECK_M, 2 * cell_m))
-    return without_islands(free, specks)
+    return without_islands(free, max(SPECK_M, 2 * cell_m) / cell_m)
 
 
 ROWS_AT_ONCE = 64
@@ -182,16 +163,3 @@ def distances(nearest: Labels, cell_m: float) -> Float32Array:
         squared += np.square(x - columns, dtype=np.float64)
         out[rows[0] : rows[-1] + 1] = np.sqrt(squared) * cell_m
     return out
-
-
-def _filled(free: BoolArray, blocked: BoolArray, most_cells: float) -> BoolArray:
-    """The free cells, and those of obstacles up to so many cells wide. blocked: cells that a robot
-    cannot be in; what they connect is one obstacle."""
-    label, count = labelled(blocked)
-    at_border = np.unique(np.concatenate([label[0], label[-1], label[:, 0], label[:, -1]]))
-    label[free] = 0
-    small = np.zeros(count + 1, bool)
-    for number, box in enumerate(ndimage.find_objects(label), start=1):
-        small[number] = box is not None and max(s.stop - s.start for s in box) <= most_cells
-    small[at_border] = False
-    return np.asarray(free | small[label])

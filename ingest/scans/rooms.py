@@ -19,9 +19,9 @@ from scipy import ndimage
 
 from ...topology.arrays import BoolArray, FloatArray, IntArray
 from .crossing import crossing
+from .grid import Labels
 from .open_space import distances, nearest_cells
 from .skeleton import Edge, Node, SkeletonGraph, SkeletonSettings
-from .skeleton_lines import Labels
 from .ways import Drivable, cheapest
 
 WIDEST_M = 1.2
@@ -79,7 +79,7 @@ def _narrowest(graph: SkeletonGraph, edge: Edge) -> Iterator[tuple[int, float]]:
         first, last = int(before[-1]), k + int(after[0])
         if way[last] - way[first] > DEEP_M or r[first:k].min() <= r[k] or r[k:last].min() < r[k]:
             continue
-        level = first + np.flatnonzero(r[first : last + 1] <= r[k] + 0.5 * cell_m)
+        level = first + 1 + np.flatnonzero(r[first + 1 : last] <= r[k] + 0.5 * cell_m)
         yield int(level[len(level) // 2]) - 1, float(r[k])
 
 

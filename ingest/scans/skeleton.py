@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...topology.arrays import BoolArray, Float32Array, FloatArray, IntArray
+from .grid import Labels
 from .skeleton_lines import Lines
 
 
@@ -37,9 +38,15 @@ class SkeletonSettings:
     """A branch's heading is measured at a distance of `chord_m`, or of the node's clearance plus
     this."""
 
-    def with_spurs(self, factor: float) -> SkeletonSettings:
-        """The same, with spurs of `factor` times the length pruned."""
-        return replace(self, spur_m=factor * self.spur_m)
+    @property
+    def variants(self) -> tuple[SkeletonSettings, ...]:
+        """Four variations, each in one parameter."""
+        return (
+            replace(self, clearance_m=0.8 * self.clearance_m),
+            replace(self, clearance_m=1.3 * self.clearance_m),
+            replace(self, spur_m=0.8 * self.spur_m),
+            replace(self, spur_m=1.25 * self.spur_m),
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -214,16 +221,14 @@ def _net(lines: Lines, settings: SkeletonSettings) -> _Net:
 def _reaches(lines: Lines, taper: float) -> list[tuple[Reach, Reach]]:
     """Of every line along its cells, and back; forks are points at their ends. O(c)."""
     count = len(lines.length_m)
-    at = [lines.cells[:, ::-1] * lines.cell_m, lines.fork_xy[lines.ends.ravel()]]
-    along = lines.clearance_m[lines.cells[:, 0], lines.cells[:, 1]].astype(np.float64)
-    clear = [along, lines.fork_clearance_m[lines.ends.ravel()]]
-    number = np.arange(count)
-    owner = np.concatenate([lines.line, np.repeat(number, 2)])
-    place = np.concatenate([np.ones(len(lines.line)), np.tile([0, 2], count)])
-    there = np.concatenate([np.ones(len(lines.line), bool), lines.ends.ravel() > 0])
-    order = np.lexsort((place, owner))
-    order = order[there[order] & (owner[order] > 0)]
-    xy, r, owner = np.concatenate(at)[order], np.concatenate(clear)[order], owner[order]
+    fork = lines.ends[1:].ravel()
+    ends = np.searchsorted(lines.line, np.arange(1, count + 1)).repeat(2)[1:-1]
+    at, number = (each[fork > 0] for each in (ends, np.arange(1, count).repeat(2)))
+    fork = fork[fork > 0]
+    owner = np.insert(lines.line, at, number)
+    r = lines.clearance_m[tuple(lines.cells.T)].astype(np.float64)
+    r = np.insert(r, at, lines.fork_clearance_m[fork])
+    xy = np.insert(lines.cells[:, ::-1] * lines.cell_m, at, lines.fork_xy[fork], axis=0)
     step = np.zeros(len(xy))
     step[1:] = np.where(np.diff(owner) == 0, np.hypot(*np.diff(xy, axis=0).T), 0.0)
     wide = np.maximum(1.0, r / HALF_M)
@@ -241,7 +246,7 @@ def _reaches(lines: Lines, taper: float) -> list[tuple[Reach, Reach]]:
 _NONE = Reach(0.0, 0.0, 0.0, 0.0)
 
 
-def _rises(f: FloatArray, owner: IntArray) -> dict[int, Reach]:
+def _rises(f: FloatArray, owner: Labels) -> dict[int, Reach]:
     """The reach of every line whose values stand one after another, by number."""
     if len(f) == 0:
         return {}

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy import ndimage
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
 from ...topology.arrays import BoolArray, Float32Array, FloatArray, IntArray
+from ...topology.connected import connected
 from ...topology.errors import DataError
-
-Labels = NDArray[np.int32]
+from .grid import Labels
 
 SHORTEST_CELLS = 5.0
 """Least mean number of cells per line: floors of 6,000 rooms, in the largest cells that they are
@@ -26,8 +23,6 @@ FEW_LINES = 1 << 13
 
 MOST_LINES = 1 << 14
 """A floor of 4,700 rooms has as many, which takes about three seconds."""
-
-_AROUND = np.ones((3, 3), np.int8)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,23 +61,25 @@ def lines_of(
 
     Raises DataError on noise, and if there are too many. O(h w).
     """
-    # A cell of a line has at most two neighbours.
-    fork = skeleton & (ndimage.correlate(skeleton.view(np.int8), _AROUND, mode="constant") > 3)
-    fork_label, forks = labelled(fork)
-    line_label, lines = labelled(skeleton & ~fork)
     cells = np.argwhere(skeleton)
-    line, number = (label[cells[:, 0], cells[:, 1]] for label in (line_label, fork_label))
+    pairs, steps = _neighbours(cells)
+    # A cell of a line has at most two neighbours.
+    fork = np.bincount(pairs.ravel(), minlength=len(cells)) > 2
+    alike = pairs[:, fork[pairs[0]] == fork[pairs[1]]]
+    part = connected(alike[0], alike[1], len(cells))
+    number, line = _numbered(part, fork), _numbered(part, ~fork)
+    forks, lines = int(number.max(initial=0)), int(line.max(initial=0))
     _check(int(np.count_nonzero(line)), lines)
-    order, length, ends = _traced(cells, line, number, lines)
-    rows, columns = cells[number > 0].T
-    number = number[number > 0]
+    order, length, ends = _traced(cells, line, number, (pairs, steps))
+    at_border = np.unique(line[border[tuple(cells.T)]])
+    rows, columns = cells[fork].T
+    number = number[fork]
     size = np.bincount(number, minlength=forks + 1)
     safe = np.maximum(size, 1)
     x = np.bincount(number, columns, forks + 1) / safe * cell_m
     y = np.bincount(number, rows, forks + 1) / safe * cell_m
     wide = np.zeros(forks + 1)
     np.maximum.at(wide, number, clearance_m[rows, columns])
-    at_border = np.unique(line_label[border])
     return Lines(
         cells[order],
         line[order],
@@ -97,25 +94,32 @@ def lines_of(
     )
 
 
+def _numbered(part: IntArray, marked: BoolArray) -> Labels:
+    """(c,) number of each marked cell's part among those of marked cells, from 1 on; 0 of
+    others."""
+    out = np.zeros(len(part), np.int32)
+    out[marked] = np.unique(part[marked], return_inverse=True)[1] + 1
+    return out
+
+
 def _traced(
-    cells: IntArray, line: Labels, fork: Labels, lines: int
+    cells: IntArray, line: Labels, fork: Labels, beside: tuple[Labels, FloatArray]
 ) -> tuple[IntArray, FloatArray, IntArray]:
     """The rows of the cells (c, 2) of lines, one line after another, each from one end to the
     other; length (l + 1,) of every line in cells, including its ends in the forks; fork (l + 1, 2)
-    at its first cell, and at its last one, 0 for none. line, fork: (c,) of each cell. O(c log c).
+    at its first cell, and at its last one, 0 for none. line, fork: (c,) of each cell; beside: see
+    `_neighbours`. O(c log c).
     """
-    length, along, touching = np.zeros(lines + 1), [], []
-    for one, other, step in _neighbours(cells):
-        length += np.bincount(np.maximum(line[one], line[other]), minlength=lines + 1) * step
-        pair, on_line = np.stack([one, other]), np.stack([line[one], line[other]]) > 0
-        along.append(pair[:, on_line.all(axis=0)])
-        touching += [pair[:, on_line[0] > on_line[1]], pair[::-1, on_line[1] > on_line[0]]]
+    (pairs, steps), lines = beside, int(line.max(initial=0))
+    on_line = line[pairs] > 0
+    length = np.asarray(np.bincount(line[pairs].max(axis=0), steps, lines + 1), np.float64)
     length[0] = 0.0
-    one, other = np.hstack(along)
+    along = pairs[:, on_line.all(axis=0)]
+    touching = pairs[:, on_line[0] > on_line[1]], pairs[::-1, on_line[1] > on_line[0]]
     # A line begins at a cell with one neighbour or none; a ring anywhere.
-    beside = np.bincount(np.hstack(along).ravel(), minlength=len(cells))
-    first = np.lexsort((beside, line))[np.searchsorted(np.sort(line), np.arange(1, lines + 1))]
-    graph = coo_array((np.ones(len(one)), (one, other)), shape=(len(cells),) * 2).tocsr()
+    degree = np.bincount(along.ravel(), minlength=len(cells))
+    first = np.lexsort((degree, line))[np.searchsorted(np.sort(line), np.arange(1, lines + 1))]
+    graph = coo_array((np.ones(len(along.T)), along), shape=(len(cells),) * 2).tocsr()
     away = dijkstra(graph, False, first, unweighted=True, min_only=True)
     order = np.lexsort((away, line))
     # Every line touches forks at most twice, by its ends; one of up to two cells is no ring.
@@ -131,16 +135,19 @@ def _traced(
     return order[line[order] > 0], length, ends
 
 
-def _neighbours(cells: IntArray) -> Iterator[tuple[IntArray, IntArray, float]]:
-    """The numbers of adjacent cells of a list (c, 2), every pair once, by direction; and their
-    distance in cells."""
+def _neighbours(cells: IntArray) -> tuple[Labels, FloatArray]:
+    """(2, p) the numbers of adjacent cells of a list (c, 2), every pair once, and (p,) their
+    distances in cells."""
     number = np.full(cells.max(axis=0, initial=0) + 3, -1, np.int32)
-    rows, columns = cells.T + 1
-    number[rows, columns] = own = np.arange(len(cells))
+    rows, columns = (cells.T + 1).astype(np.int32)
+    number[rows, columns] = own = np.arange(len(cells), dtype=np.int32)
+    pairs, steps = [], []
     for dy, dx in ((0, 1), (1, 0), (1, 1), (1, -1)):
         beside = number[rows + dy, columns + dx]
         there = beside >= 0
-        yield own[there], beside[there].astype(np.int64), float(np.hypot(dy, dx))
+        pairs.append(np.stack([own[there], beside[there]]))
+        steps.append(np.full(pairs[-1].shape[1], np.hypot(dy, dx)))
+    return np.hstack(pairs), np.concatenate(steps)
 
 
 def _check(cells: int, lines: int) -> None:
@@ -155,9 +162,3 @@ def _check(cells: int, lines: int) -> None:
             f"the free space falls into {lines} ways, more than the {MOST_LINES} that are traced; "
             "cut the grid into parts"
         )
-
-
-def labelled(mask: BoolArray) -> tuple[Labels, int]:
-    """Connected components of cells (8-connectivity), numbered from 1 on, and their number."""
-    label, count = ndimage.label(mask, _AROUND)
-    return np.asarray(label, np.int32), int(count)

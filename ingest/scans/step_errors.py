@@ -10,7 +10,7 @@ from ...topology.arrays import BoolArray, FloatArray, IntArray
 from ...topology.se2 import between, compose, inverse, wrap
 from .alignment import Steps
 from .keyframes import KEYFRAMES, Keyframes
-from .scatter import Aligned
+from .scatter import STRETCH, Aligned
 
 HEADING_PRIOR = (0.035, 0.03, 0.1)
 """Prior 1 sigma of heading errors: per metre [rad/m], per radian, and by a lag [s] of each
@@ -154,7 +154,7 @@ def _shifts(own: FloatArray, turn: FloatArray) -> FloatArray:
     return np.asarray(out.reshape(-1, 2, 4))
 
 
-SHORT, LONG = 16, 80
+SHORT, LONG = STRETCH, 5 * STRETCH
 """Lengths of spans in keyframes, for distances (4 m: heading errors add little) and for headings
 (20 m: errors of single keyframes add little)."""
 SURER_ALONG = 0.4

@@ -18,6 +18,7 @@ from ...topology.arrays import FloatArray, IntArray
 from ...topology.errors import DataError
 from ...topology.odometry import Odometry
 from ...topology.se2 import wrap
+from .step_errors import HEADING_PRIOR
 
 TURN_RAD = 0.05
 """Rotations larger than this, by scans and odometry, exceed the errors of both."""
@@ -67,7 +68,7 @@ class LagSettings:
     """Beyond this, the clocks are different ones, with an arbitrary offset."""
     step_s: float = 0.05
     """Step of the search, with interpolation: rotations of robots last longer."""
-    least_s: float = 0.1
+    least_s: float = HEADING_PRIOR[2]
     """Smaller lags are estimated by `StepErrors` with the other errors of rotations: 1 sigma
     there."""
     left: float = 0.67

@@ -30,11 +30,12 @@ from ...topology.views import (
     Views,
 )
 from ...topology.visits import carried_along
+from .floorplan import MOST_CELLS
 from .junctions import Driven
 from .open_space import distance, without_specks
-from .windows import Seen
+from .windows import WINDOWS, Seen
 
-EVERY_M = 3.0
+EVERY_M = 2 * WINDOWS.every_m
 """Way between views where there is no junction."""
 
 
@@ -130,16 +131,13 @@ def grid_views(grid: Grid, along: FloatArray) -> Views:
 
 
 def too_large(grid: Grid) -> bool:
-    """Whether no views are cut from a grid."""
-    return bool(grid.free.size * (grid.resolution_m / CELL_M) ** 2 > MOST_VIEWED)
+    """Whether no views are cut from a grid: it has more cells of a view than a floor plan may have,
+    410 by 410 m. Coarser cells are divided."""
+    return bool(grid.free.size * (grid.resolution_m / CELL_M) ** 2 > MOST_CELLS)
 
 
 LEAST_CLEARANCE_M = 0.3
 """A robot fits in."""
-
-MOST_VIEWED = 1 << 22
-"""Largest grid that views are cut from, 410 by 410 m: as many cells of a view as a floor plan has.
-Coarser cells are divided."""
 
 
 def _states(grid: Grid) -> NDArray[np.uint8]:

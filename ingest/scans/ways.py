@@ -10,8 +10,7 @@ from scipy import ndimage
 
 from ...topology.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from ...topology.polyline import densely, simplify, way_of
-from .open_space import OpenSpace
-from .skeleton_lines import labelled
+from .grid import labelled
 
 SMOOTH_M = 0.5
 """Length over which the staircase steps of skeletons are smoothed; corridors are straight over
@@ -45,14 +44,17 @@ class Drivable:
     cell_m: float
 
     @classmethod
-    def of(cls, space: OpenSpace, radius_m: float) -> Drivable:
-        """The largest connected part of where a robot fits. Empty if it fits nowhere."""
-        fits = space.drivable(radius_m)
+    def of(
+        cls, room_m: Float32Array, all_m: Float32Array, radius_m: float, cell_m: float
+    ) -> Drivable:
+        """The largest connected part of cells whose centres are as far from obstacles as a robot's
+        is, and not beside specks. Empty if it fits nowhere. room_m, all_m: see `OpenSpace`."""
+        fits = (room_m > radius_m) & (all_m > cell_m)
         label, _ = labelled(fits)
         size = np.bincount(label.ravel())
         size[0] = 0
         cells = label == size.argmax() if size.any() else fits
-        return cls(cells, space.all_m, radius_m, space.cell_m)
+        return cls(cells, all_m, radius_m, cell_m)
 
     def price(self, box: tuple[slice, slice]) -> FloatArray:
         """(h, w) price of a metre in the cells of a box."""

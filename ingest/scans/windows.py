@@ -18,10 +18,10 @@ from ...topology.odometry import Odometry
 from ...topology.track import piece_of, point_at, way_at
 from ...topology.views import SIDE, view_cells
 from .crossing import BendTally, bends, crossing, crossings
-from .grid import GridSettings, Looks, Window, free_space, gather, looks
+from .grid import GridSettings, Looks, Window, free_space, gather, labelled, looks
 from .matching import Matched, Placed
 from .skeleton import Node, SkeletonSettings, thin, traced
-from .skeleton_lines import Lines, labelled, lines_of
+from .skeleton_lines import Lines, lines_of
 
 
 class Variant(NamedTuple):
@@ -52,10 +52,7 @@ class WindowSettings:
         g, s, way = self.grid, self.skeleton, self.way_m
         return (
             Variant(g, s, way),
-            Variant(g, replace(s, clearance_m=0.8 * s.clearance_m), way),
-            Variant(g, replace(s, clearance_m=1.3 * s.clearance_m), way),
-            Variant(g, s.with_spurs(0.8), way),
-            Variant(g, s.with_spurs(1.25), way),
+            *(Variant(g, other, way) for other in s.variants),
             Variant(replace(g, wall_share=1.6 * g.wall_share), s, way),
             Variant(g, s, 0.75 * way),
         )

@@ -49,7 +49,7 @@ def fork_of(free: np.ndarray) -> tuple[SkeletonGraph, Node]:
 def seen(free: np.ndarray, tally: BendTally | None = None) -> tuple[Node, Node]:
     """The one junction of a grid, as the skeleton forks and as its corridors cross."""
     graph, node = fork_of(free)
-    place = placed(graph, node, tally)
+    (place,) = placed(graph, [node], tally)
     return node, crossing(graph, place, SkeletonSettings())
 
 

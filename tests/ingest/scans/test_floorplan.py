@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from scipy.ndimage import binary_dilation
 
-from topobatch.ingest.scans.floorplan import skeleton_graph
 from topobatch.ingest.scans.grid import GridSettings, without_islands
 from topobatch.topology.polyline import way_of
 from topobatch.topology.se2 import wrap
+
+from .plans import planned
 
 
 def grid(*rooms: tuple[int, int, int, int], shape: tuple[int, int] = (200, 300)) -> np.ndarray:
@@ -37,7 +38,7 @@ def headings_off(branches: np.ndarray, wanted: list[float]) -> float:
 
 
 def test_cross() -> None:
-    places, corridors, _ = skeleton_graph(CROSS, CELL)
+    places, corridors, _ = planned(CROSS, CELL)
     junctions = [p for p in places if p.kind == "junction"]
     assert len(junctions) == 1
     assert np.hypot(*(junctions[0].xy - (15.0, 10.0))) < 0.2
@@ -60,7 +61,7 @@ def test_pillars_corners_and_narrow_gaps_are_no_junctions() -> None:
     rooms = (80, 20, 120, 280), (120, 150, 190, 153), (10, 235, 80, 265), (120, 60, 190, 90)
     free = grid(*rooms)
     free[98:102, 150:154] = False
-    places = skeleton_graph(without_islands(free, GridSettings(cell_m=CELL)), CELL).places
+    places = planned(without_islands(free, GridSettings().island_m / CELL), CELL).places
     (junction,) = [p for p in places if p.kind == "junction"]
     assert np.hypot(*(junction.xy - (7.5, 10.0))) < 0.3
     assert headings_off(junction.branches, [0.0, np.pi / 2, np.pi]) < 0.1
@@ -74,10 +75,10 @@ def test_a_short_way_into_the_unknown_is_a_way(slope: float) -> None:
     rows, columns = np.indices(free.shape)
     free &= rows < 118 + slope * (columns - 140)
     if slope == 0:
-        assert not any(p.kind == "junction" for p in skeleton_graph(free, CELL)[0])
+        assert not any(p.kind == "junction" for p in planned(free, CELL)[0])
     beyond = rows >= 118 + slope * (columns - 140)
     frontier = free & binary_dilation(beyond & (columns >= 140) & (columns < 160))
-    places, corridors, _ = skeleton_graph(free, CELL, frontier=frontier)
+    places, corridors, _ = planned(free, CELL, frontier=frontier)
     (junction,) = [p for p in places if p.kind == "junction"]
     assert np.hypot(*(junction.xy - (15.0, 10.0))) < 0.3
     assert headings_off(junction.branches, [0, np.pi / 2, np.pi]) < 0.3
@@ -88,3 +89,16 @@ def test_a_short_way_into_the_unknown_is_a_way(slope: float) -> None:
     assert followed.pop(int(up), "frontier") == "frontier"
     assert set(followed.values()) == {"dead_end"}
     assert all(in_free_cells(c.path, free) for c in corridors)
+
+
+def test_a_way_into_the_unknown_ends_where_that_begins() -> None:
+    """A frontier counts in its own cells: in a plan turned by 180 degrees the way is the same."""
+    free = grid((90, 20, 110, 280), (110, 140, 200, 160), shape=(220, 300))
+    frontier = np.zeros_like(free)
+    frontier[199, 140:160] = True
+    lengths = [
+        next(c.length_m for c in corridors if places[c.target].kind == "frontier")
+        for mask, edge in ((free, frontier), (free[::-1, ::-1], frontier[::-1, ::-1]))
+        for places, corridors, _ in [planned(mask, CELL, frontier=edge)]
+    ]
+    assert abs(lengths[0] - lengths[1]) < 0.2 * CELL

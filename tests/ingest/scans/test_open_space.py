@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from topobatch.ingest.scans.open_space import open_space, wall_yaw
+from topobatch.ingest.scans.open_space import OpenSpace, wall_yaw
+from topobatch.ingest.scans.ways import Drivable
 from topobatch.topology.se2 import wrap
 
 CELL = 0.05
@@ -33,13 +34,14 @@ def test_what_stands_in_the_way() -> None:
     free[45:55, 45:55] = False
     free[45:65, 100:120] = False
     free[45:65, 127:148] = False
-    space = open_space(free, CELL, 0.25, 2.0)
+    space = OpenSpace.of(free, CELL)
     assert space.all_m[20, 20] == 0
     assert space.room_m[20, 20] > 0.9
     assert space.room_m[50, 50] == 0
-    assert space.clearance_m[50, 50] > 2.0
-    assert space.clearance_m[50, 110] == 0
-    drivable = space.drivable(0.25)
+    clearance_m = space.clearance_m(0.25, 2.0)
+    assert clearance_m[50, 50] > 2.0
+    assert clearance_m[50, 110] == 0
+    drivable = Drivable.of(space.room_m, space.all_m, 0.25, CELL).cells
     assert not drivable[20, 20]
     assert not drivable[50, 57]
     assert drivable[50, 61]

@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from topobatch.ingest.scans.floorplan import Floorplan, Place, skeleton_graph
+from topobatch.ingest.scans.floorplan import Floorplan, Place
+from topobatch.ingest.scans.rooms import doors
+from topobatch.ingest.scans.skeleton import Edge, Node, SkeletonGraph
+
+from .plans import planned
 
 CELL = 0.05
 
@@ -29,7 +33,7 @@ def of_kind(plan: Floorplan, kind: str) -> list[Place]:
 
 
 def test_rooms_lie_behind_doors_that_have_a_width() -> None:
-    plan = skeleton_graph(floor(HALL, *ROOMS, *DOORS, size=SIZE), CELL)
+    plan = planned(floor(HALL, *ROOMS, *DOORS, size=SIZE), CELL)
     rooms, doors = of_kind(plan, "room"), of_kind(plan, "door")
     assert len(rooms) == len(doors) == 3
     for x, y, to_x, to_y in ROOMS:
@@ -56,6 +60,13 @@ def test_rooms_lie_behind_doors_that_have_a_width() -> None:
 def test_a_room_with_two_doors_has_a_way_to_each() -> None:
     second = (9.9, 2.0, 10.3, 2.9)
     beyond = (10.2, 1.0, 14.0, 4.8)
-    plan = skeleton_graph(floor(HALL, *ROOMS, beyond, *DOORS, second, size=SIZE), CELL)
+    plan = planned(floor(HALL, *ROOMS, beyond, *DOORS, second, size=SIZE), CELL)
     (room,) = [p for p in of_kind(plan, "room") if 5.2 < p.xy[0] < 10.0]
     assert len(room.branches) == 2
+
+
+def test_a_door_is_a_cell_of_its_edge_however_large_cells_are() -> None:
+    wide, narrow = (Node(np.zeros(2), clear, (0,)) for clear in (0.9, 0.45))
+    edge = Edge((0, 1), np.array([[1, 1]]), 0.6)
+    graph = SkeletonGraph((wide, narrow), (edge,), np.full((3, 3), 0.33), 1 / 3)
+    assert [door.at for door in doors(graph)] == [0]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from topobatch.ingest.scans.open_space import open_space
+from topobatch.ingest.scans.open_space import OpenSpace
 from topobatch.ingest.scans.ways import Drivable, drivable_way
 from topobatch.topology.polyline import densely
 
@@ -16,7 +16,8 @@ def corridor(*obstacles: tuple[int, int, int, int]) -> Drivable:
     free = np.pad(np.ones((60, 300), bool), 1)
     for a, b, c, d in obstacles:
         free[a:c, b:d] = False
-    return Drivable.of(open_space(free, CELL, 0.25, 2.0), 0.25)
+    space = OpenSpace.of(free, CELL)
+    return Drivable.of(space.room_m, space.all_m, 0.25, CELL)
 
 
 ALONG = np.column_stack([np.arange(20, 281), np.full(261, 30)]) * CELL
