@@ -54,7 +54,7 @@ SAME_M, SAME_PER_M, SAME_RAD = 3 * PIXEL_M, 0.05, 0.2
 
 KEPT = 256
 """Maps of which a process remembers what else it has worked out: as many as it has at hand."""
-KEPT_VIEWS = 4000
+KEPT_VIEWS = 3000
 """Views of pictures that are kept, 130 kB each: a tile of tasks has 16 maps a side of some 100
 views, and the next tile shares one of the sides."""
 
