@@ -78,7 +78,7 @@ def similarity(views: Sequence[Views]) -> FloatArray:
     """
     every = np.concatenate([descriptors(v) for v in views])
     every = (every - every.mean(axis=0)) / (every.std(axis=0) + 1e-6)
-    every /= np.linalg.norm(every, axis=1, keepdims=True)
+    every /= np.linalg.norm(every, axis=1, keepdims=True) + 1e-6  # 0 of one like the mean
     starts = np.cumsum([0, *map(len, views)])
     score = np.zeros((len(views), len(views)))
     for k, (start, stop) in enumerate(pairwise(starts)):
