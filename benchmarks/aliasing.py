@@ -29,7 +29,7 @@ from topobatch.merge.robust import (
     thresholds,
     verdict,
 )
-from topobatch.merge.robust.alignment import best_of_all
+from topobatch.merge.robust.alignment import Hypotheses, evaluate_all
 from topobatch.merge.robust.links import Seed
 from topobatch.merge.robust.settings import MATCH
 from topobatch.simulation.worlds import make_world
@@ -120,7 +120,7 @@ def placements(kind, worlds, first):
         home = Seed(i, j, float(theta), complex(x, y), 0.0)
         found = [*match(one, two, DEFAULT_ROBUST)]
         tested = round(2.0 ** found[0].tested_bits) if found else 1
-        found += next(best_of_all([(one, two, [home], tested)], DEFAULT_ROBUST))
+        found += next(evaluate_all([Hypotheses(one, two, [home], tested)], DEFAULT_ROBUST))
         copies = repetition.default_copies(DEFAULT_ROBUST)
         told = {True: [(-np.inf, -np.inf)], False: [(-np.inf, -np.inf)]}
         cases = [(one, two, c) for c in found]

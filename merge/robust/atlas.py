@@ -113,15 +113,15 @@ def _whole(maps: Sequence[Prepared], vertex: IntArray, corridor: IntArray) -> Pr
     return replace(maps[0], **(nothing | whole))
 
 
-def _wide(maps: Sequence[Prepared], name: str, nothing: complex) -> NDArray[Any]:
-    """Rows of different widths, padded with `nothing`."""
-    rows = [getattr(m, name) for m in maps]
-    widest = max(some.shape[1] for some in rows)
-    out = np.full((sum(map(len, rows)), widest), nothing, rows[0].dtype)
+def _wide(maps: Sequence[Prepared], name: str, padding: complex) -> NDArray[Any]:
+    """Rows of different widths, padded to the widest."""
+    blocks = [getattr(m, name) for m in maps]
+    widest = max(block.shape[1] for block in blocks)
+    out = np.full((sum(map(len, blocks)), widest), padding, blocks[0].dtype)
     start = 0
-    for some in rows:
-        out[start : start + len(some), : some.shape[1]] = some
-        start += len(some)
+    for block in blocks:
+        out[start : start + len(block), : block.shape[1]] = block
+        start += len(block)
     return out
 
 
@@ -163,7 +163,7 @@ class Lanes:
     def __len__(self) -> int:
         return len(self.of_b)
 
-    def some(self, lanes: IntArray) -> Lanes:
+    def take(self, lanes: IntArray) -> Lanes:
         """The given lanes only."""
         return Lanes.of(self.a, self.b, self.of_a[lanes], self.of_b[lanes])
 

@@ -67,7 +67,7 @@ class Conflicts:
     def __len__(self) -> int:
         return len(self.in_a) + len(self.in_b) + len(self.elsewhere)
 
-    def at_most(self, in_a: FloatArray, in_b: FloatArray) -> Conflicts:
+    def bounded(self, in_a: FloatArray, in_b: FloatArray) -> Conflicts:
         """The same, undetected junctions with bounded weights [bits]."""
         bounded = ((self.in_a, in_a), (self.in_b, in_b))
         unseen = [replace(x, bits=np.minimum(x.bits, most)) for x, most in bounded]

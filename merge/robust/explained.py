@@ -17,7 +17,7 @@ import numpy as np
 
 from ...topology.arrays import FloatArray
 from ...topology.digits import BITS, rounded
-from ...topology.matching.views import compared
+from ...topology.matching.views import compare
 from ...topology.se2 import between, turned
 from ...topology.topomap import TopoMap
 from ...topology.wording import counted
@@ -270,7 +270,7 @@ def _views(a: Prepared, b: Prepared, c: Candidate) -> Iterator[Term]:
         first, second = int(c.views.first[row]), int(c.views.second[row])
         near_a = int(np.abs(a.z - one.place[first]).argmin())
         near_b = int(np.abs(b.z - two.place[second]).argmin())
-        seen = compared(one.index, two.index, (first, second), c.views.transform[row])
+        seen = compare(one.index, two.index, (first, second), c.views.transform[row])
         seen = replace(seen, xy=turned(seen.xy, one.pose[first, 2]))
         yield replace(term, a=(near_a,), b=(near_b,), seen=seen)
 

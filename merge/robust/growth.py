@@ -70,7 +70,7 @@ def grow(lanes: Lanes, seeds: Sequence[Seed], settings: RobustSettings) -> Grown
             now = fresh
             continue
         stay = going[live.lane].nonzero()[0]
-        live, at, now, unit = live.some(going.nonzero()[0]), at[stay], fresh[stay], unit[going]
+        live, at, now, unit = live.take(going.nonzero()[0]), at[stay], fresh[stay], unit[going]
     return _without_contradicted(lanes, partner, (place, turn, support))
 
 

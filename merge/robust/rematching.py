@@ -33,7 +33,7 @@ from ..result import (
     pairs_of,
     site_views,
 )
-from .alignment import Candidate, laid_over, match
+from .alignment import Candidate, fit_matches, match
 from .components import Components
 from .pairing import Pair, Pairwise, candidates_of, result_of
 from .prepare import Prepared, prepare
@@ -309,7 +309,7 @@ def _links(one: MergedMap, two: MergedMap, found: Assessment) -> dict[Pair, Alig
     out = {}
     for (i, j), pairs in strong or [item for item in ranked[:1] if len(item[1]) >= 2]:
         matched = np.array(sorted(pairs), np.int64)
-        transform, rmse = laid_over(known[i].xy[matched[:, 0]], known[j].xy[matched[:, 1]])
+        transform, rmse = fit_matches(known[i].xy[matched[:, 0]], known[j].xy[matched[:, 1]])
         corridors, asked = len(best.corridors), found.copy_test
         out[i, j] = Alignment(transform, found.bits, matched, rmse, corridors, copy_test=asked)
     return out

@@ -39,13 +39,13 @@ class Support:
     branches: FloatArray
     bits: float
 
-    def at_most_against(self, most: FloatArray) -> Support:
+    def bounded(self, bound: FloatArray) -> Support:
         """The same, what speaks against the match bounded by `most` (k,) at each matched junction,
         at a link by the larger of its two [bits]."""
-        links = np.maximum(self.links, -most[self.ends].max(axis=1, initial=0.0))
-        branches = np.maximum(self.branches, -most)
-        more = (links - self.links).sum() + (branches - self.branches).sum()
-        return replace(self, links=links, branches=branches, bits=self.bits + float(more))
+        links = np.maximum(self.links, -bound[self.ends].max(axis=1, initial=0.0))
+        branches = np.maximum(self.branches, -bound)
+        change = (links - self.links).sum() + (branches - self.branches).sum()
+        return replace(self, links=links, branches=branches, bits=self.bits + float(change))
 
 
 _NONE, _NO_BITS = np.zeros(0, np.int64), np.zeros(0)

@@ -234,7 +234,7 @@ def falls_short(c: Candidate) -> float:
 def walls_fit(a: Prepared, b: Prepared, c: Candidate) -> bool:
     """Whether the walls of several parts lie on each other in one placement: then lengths fit, too,
     and neither map is larger, whatever junctions say. Furniture shifts junctions, not walls."""
-    return c.views.off_m(a.views, b.views) <= CONSISTENT_M
+    return c.views.residual_m(a.views, b.views) <= CONSISTENT_M
 
 
 def misfits(a: Prepared, b: Prepared, c: Candidate) -> float:
@@ -295,7 +295,7 @@ def _repetitions(
     shares = [
         max(
             # Walls show better than lengths of corridors whether a building repeats itself.
-            uniform * c.views.alike,
+            uniform * c.views.self_similarity,
             threshold.may_be_copy(c),
             misfits(a, b, c),
             threshold.looks_repeated(c),
