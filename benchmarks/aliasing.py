@@ -124,7 +124,7 @@ def placements(kind, worlds, first):
         copies = repetition.default_copies(DEFAULT_ROBUST)
         told = {True: [(-np.inf, -np.inf)], False: [(-np.inf, -np.inf)]}
         cases = [(one, two, c) for c in found]
-        for c, same in zip(found, repetition.sameness_of(cases, copies), strict=True):
+        for c, same in zip(found, repetition.sameness(cases, copies), strict=True):
             right = bool(np.mean(true_a[c.a] == true_b[c.b]) >= 0.5)
             told[right].append((c.counted_bits, same.bits))
         right, wrong = (np.max(told[k], axis=0) for k in (True, False))
@@ -147,7 +147,7 @@ def leave_out(rule):
         none = (np.zeros(0, np.int64),) * 3
         _replace(conflicts, "_elsewhere", lambda grown, asked, extra_b, extra_a: none)
     elif rule == "small copies":
-        _replace(verdict.Threshold, "may_be_copy", lambda self, best: 0.0)
+        _replace(verdict.Threshold, "repetition_by_size", lambda self, best: 0.0)
     elif rule == "learned copies":
         for module in (thresholds,):
             _replace(module, "copy_model", lambda _, settings: repetition.default_copies(settings))

@@ -259,12 +259,8 @@ def _rank(c: Candidate) -> tuple[float, list[float]]:
 def _lanes(cases: Sequence[Hypotheses]) -> Lanes:
     """A lane for every hypothesis."""
     pairs = [(case.a, case.b) for case in cases for _ in case.seeds]
-    number: dict[int, int] = {}
-    rows = [[number.setdefault(id(m), len(number)) for m in pair] for pair in pairs]
-    maps = {id(m): m for pair in pairs for m in pair}
-    whole = Atlas.of([maps[key] for key in number])
-    of_a, of_b = np.array(rows).T
-    return Lanes.of(whole, whole, of_a, of_b)
+    atlas, rows = Atlas.of_pairs(pairs)
+    return Lanes.of(atlas, atlas, *rows.T)
 
 
 def ungrown_candidates(case: Hypotheses) -> list[Candidate]:
