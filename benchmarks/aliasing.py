@@ -145,7 +145,7 @@ def leave_out(rule):
     """Take a rule out of the matcher."""
     if rule == "elsewhere":
         none = (np.zeros(0, np.int64),) * 3
-        _replace(conflicts, "_elsewhere", lambda grown, asked, extra_b, extra_a: none)
+        _replace(conflicts, "_elsewhere", lambda grown, searched, unseen_b, unseen_a: none)
     elif rule == "small copies":
         _replace(verdict.Threshold, "repetition_by_size", lambda self, best: 0.0)
     elif rule == "learned copies":
