@@ -60,6 +60,16 @@ class RunNoise:
     """Error of a junction centre, per axis, that all of its passes have in common (median): scans
     see the same walls at each pass, so that it does not average out."""
 
+    def straight_covariance(self, distance_m: FloatArray) -> FloatArray:
+        """(k, 3, 3) covariance of x, y, theta [m, rad] after driving straight on for a distance
+        (k,), made isotropic."""
+        turn = self.heading_rad_per_sqrt_m**2 * distance_m
+        covariance = np.zeros((len(distance_m), 3, 3))
+        shift = self.along_m_per_sqrt_m**2 * distance_m + turn * distance_m**2 / 3
+        covariance[:, 0, 0] = covariance[:, 1, 1] = shift
+        covariance[:, 2, 2] = turn
+        return covariance
+
 
 @dataclass(frozen=True, slots=True)
 class Closure:

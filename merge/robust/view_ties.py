@@ -41,7 +41,7 @@ def view_ties(a: Prepared, b: Prepared, views: ViewEvidence) -> Measurements:
     jacobian = turn_effect @ turned_axes(near_a[:, 2])
     covariance = jacobian @ errors @ np.swapaxes(jacobian, 1, 2)
     for m, anchor_pose in ((a, near_a), (b, near_b)):
-        covariance += _drift_covariance(m, np.hypot(anchor_pose[:, 0], anchor_pose[:, 1]))
+        covariance += m.noise.straight_covariance(np.hypot(anchor_pose[:, 0], anchor_pose[:, 1]))
     return Measurements(of_a, of_b, measured, np.asarray(np.linalg.inv(covariance), np.float64))
 
 
@@ -52,14 +52,3 @@ def _anchors(m: Prepared, rows: IntArray) -> tuple[IntArray, FloatArray]:
     vertex = np.abs(position[:, None] - m.z).argmin(axis=1)
     z = m.z[vertex]
     return vertex, between(np.column_stack([z.real, z.imag, np.zeros(len(z))]), pose)
-
-
-def _drift_covariance(m: Prepared, distance_m: FloatArray) -> FloatArray:
-    """(k, 3, 3) covariance of the odometry over straight distances (k,) [m] (`Measurements`)."""
-    noise, covariance = m.noise, np.zeros((len(distance_m), 3, 3))
-    heading_variance = noise.heading_rad_per_sqrt_m**2 * distance_m
-    covariance[:, 0, 0] = covariance[:, 1, 1] = (
-        noise.along_m_per_sqrt_m**2 * distance_m + heading_variance * distance_m**2 / 3
-    )
-    covariance[:, 2, 2] = heading_variance
-    return covariance
