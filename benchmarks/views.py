@@ -50,13 +50,11 @@ def most_bits(a: Picture, b: Picture) -> float:
     found = overlaps(a, b, placed, JUDGE_PAIRS)
     revisit_z = np.concatenate([revisits(a.views), revisits(b.views)])
     repeats_of_both = repeats(a.views), repeats(b.views)
-    evidence = [
-        view_evidence(
-            overlap, [other for other in found if other is not overlap], repeats_of_both, revisit_z
-        )
-        for overlap in found
-    ]
-    return max((one.total for one in evidence), default=-np.inf)
+    totals = [-np.inf]
+    for overlap in found:
+        others = [other for other in found if other is not overlap]
+        totals.append(view_evidence(overlap, others, repeats_of_both, revisit_z).total)
+    return max(totals)
 
 
 def across(buildings: list[list[Picture]]) -> Iterator[float]:

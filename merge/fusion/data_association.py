@@ -35,8 +35,7 @@ class CoincidenceSettings:
     spare_branches: int = 1
     """Number of unpaired branches allowed."""
     min_chain: int = 3
-    """Least number of coincident places within `LIKELIHOOD.gate_m` of two runs that are not matched
-    with each other."""
+    """Least number of coincident places within `LIKELIHOOD.gate_m` of two unmatched runs."""
 
 
 COINCIDENCE = CoincidenceSettings()
@@ -65,8 +64,7 @@ class _Surroundings:
         return list(zip(i.tolist(), pairs.nearest[0, i].tolist(), strict=True))
 
     def contradicted(self, u: int, v: int) -> bool:
-        """Whether more corridors that leave both rows by paired branches disagree in length than
-        agree."""
+        """Whether more corridors by paired branches disagree in length than agree."""
         pairs = self.partners(u, v)
         lengths = [(self.lengths[u].get(i), self.lengths[v].get(j)) for i, j in pairs]
         agreements = [
@@ -89,45 +87,35 @@ def coincident(
     agreeing corridors connect. Of 23 merges of up to 8 runs it changes none.)
     """
     label = groups.labels()
-    surroundings = _Surroundings(pool, pose)
-    candidates = _candidates(pool, label, pose, surroundings)
-    matched_runs = {frozenset(pair) for pair in matched}
-    runs = [frozenset(r) for r in _runs_of(pool, label)]
-    names = [m.run for m in pool.maps]
-    uncontradicted = [
-        (u, v, distance) for u, v, distance in candidates if not surroundings.contradicted(u, v)
-    ]
+    around = _Surroundings(pool, pose)
+    candidates = _candidates(pool, label, pose, around)
+    likely = [c for c in candidates if not around.contradicted(*c[:2])]
+    runs, names = _runs_of(pool, label), [m.run for m in pool.maps]
     run_pairs = [
         {frozenset((names[r], names[s])) for r in runs[label[u]] for s in runs[label[v]]}
-        for u, v, _ in uncontradicted
+        for u, v, _ in likely
     ]
-    count_of_runs = Counter(
+    near = Counter(
         pair
-        for (_, _, distance), pairs in zip(uncontradicted, run_pairs, strict=True)
+        for (_, _, distance), pairs in zip(likely, run_pairs, strict=True)
         if distance <= LIKELIHOOD.gate_m
         for pair in pairs
     )
-    allowed = matched_runs | {
-        pair for pair, count in count_of_runs.items() if count >= COINCIDENCE.min_chain
-    }
-    return [
-        (u, v)
-        for (u, v, _), pairs in zip(uncontradicted, run_pairs, strict=True)
-        if pairs & allowed
-    ]
+    allowed = {frozenset(pair) for pair in matched}
+    allowed |= {pair for pair, count in near.items() if count >= COINCIDENCE.min_chain}
+    return [(u, v) for (u, v, _), pairs in zip(likely, run_pairs, strict=True) if pairs & allowed]
 
 
 def _candidates(
-    pool: Pool, label: IntArray, pose: FloatArray, surroundings: _Surroundings
+    pool: Pool, label: IntArray, pose: FloatArray, around: _Surroundings
 ) -> list[tuple[int, int, float]]:
     """Pairs of rows, one of each place, with the distance of their places [m]: places that share no
     run, are each other's nearest by a margin, and whose branches fit."""
     visits = pass_counts(pool)
     by_passes = np.lexsort((np.arange(len(pool)), -visits, label))
-    representative = by_passes[
-        np.searchsorted(label[by_passes], np.arange(int(label.max(initial=-1)) + 1))
-    ]
-    if len(representative) < 2:
+    first = np.searchsorted(label[by_passes], np.arange(int(label.max(initial=-1)) + 1))
+    shown = by_passes[first]
+    if len(shown) < 2:
         return []
     weight = np.bincount(label)
     centre = np.stack([np.bincount(label, pose[:, k]) / weight for k in (0, 1)], axis=-1)
@@ -141,15 +129,12 @@ def _candidates(
     is_clear = _clearly_nearest(u, v, distance, len(centre), COINCIDENCE.lead)
     chosen = np.flatnonzero(is_clear & (distance <= COINCIDENCE.gate_m))
     order = chosen[np.lexsort((v[chosen], u[chosen], distance[chosen]))]
-    rows = [
-        (int(representative[u[k]]), int(representative[v[k]]), float(distance[k])) for k in order
-    ]
-    return [(r, s, d) for r, s, d in rows if _branches_fit(surroundings, r, s)]
+    rows = [(int(shown[u[k]]), int(shown[v[k]]), float(distance[k])) for k in order]
+    return [(r, s, d) for r, s, d in rows if _branches_fit(around, r, s)]
 
 
 def _branches_fit(surroundings: _Surroundings, u: int, v: int) -> bool:
-    """Whether at most `spare_branches` branches are unpaired, and, if there are any, one is
-    paired."""
+    """Whether at most `spare_branches` branches are unpaired, and one is paired, if any."""
     pairs = len(surroundings.partners(u, v))
     unpaired = max(len(surroundings.units[u]), len(surroundings.units[v])) - pairs
     return unpaired <= COINCIDENCE.spare_branches and (pairs > 0 or unpaired == 0)

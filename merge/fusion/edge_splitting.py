@@ -38,22 +38,19 @@ def split_at_places(corridors: list[Corridor]) -> list[Corridor]:
 
 
 def _replaced_once(corridors: Sequence[Corridor]) -> list[Corridor]:
-    """One round, shortest corridors first. A corridor that became a part of another one is only
-    replaced in the next round."""
+    """One round, shortest corridors first. New parts of others wait for the next round."""
     ways_from = _by_branch(corridors)
     replaced: set[int] = set()
-    longer_through: dict[int, list[Corridor]] = {}
+    longer: dict[int, list[Corridor]] = {}
     for row in sorted(range(len(corridors)), key=lambda k: (corridors[k].length, k)):
-        parts = () if row in longer_through else _chain(row, corridors, ways_from)
+        parts = () if row in longer else _chain(row, corridors, ways_from)
         if not parts or replaced & {*parts}:
             continue
         replaced.add(row)
         for k in parts:
-            longer_through.setdefault(k, []).append(corridors[row])
+            longer.setdefault(k, []).append(corridors[row])
     return [
-        _driven_more(c, longer_through.get(k, ()))
-        for k, c in enumerate(corridors)
-        if k not in replaced
+        _driven_more(c, longer.get(k, ())) for k, c in enumerate(corridors) if k not in replaced
     ]
 
 
@@ -90,8 +87,7 @@ def _by_branch(corridors: Sequence[Corridor]) -> Leaving:
 
 
 def _chain(row: int, corridors: Sequence[Corridor], ways_from: Leaving) -> tuple[int, ...]:
-    """The chain of other corridors that is the same as this one: same first and last branch, same
-    length.
+    """The chain of other corridors with the first and last branch and the length of this one.
 
     Only one corridor leaves by a branch, so that a shorter one by the same branch ends at a
     junction on the way. Of several chains the one nearest in length; () if there is none.
@@ -113,8 +109,7 @@ def _chain(row: int, corridors: Sequence[Corridor], ways_from: Leaving) -> tuple
 def _chains(
     c: Corridor, row: int, corridors: Sequence[Corridor], ways_from: Leaving
 ) -> Iterator[tuple[int, ...]]:
-    """All chains of other corridors from one end of a corridor to the other, by its first and last
-    branch."""
+    """All chains of other corridors from end to end of a corridor, by its branches there."""
     longest = 1.2 * c.length + 1.0
     stack: list[tuple[int, int | None, float, tuple[int, ...]]] = [(c.u, None, 0.0, ())]
     while stack:

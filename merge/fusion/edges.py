@@ -136,8 +136,7 @@ def oriented(c: Corridor) -> Corridor:
 def fuse_corridors(corridors: Iterable[Corridor]) -> list[Corridor]:
     """Fuse corridors between the same places that have the same branches and agree in length.
 
-    A corridor with an unknown branch is fused with the nearest in length that fits its known
-    branches.
+    A corridor with an unknown branch is fused with the fitting one nearest in length.
     """
     ordered = sorted(corridors, key=_order)
     bundles_of: dict[tuple[int, int], list[list[Corridor]]] = {}

@@ -97,11 +97,7 @@ def fused_once(
 
 
 def component_digest(
-    maps: Sequence[TopoMap],
-    inside: Sequence[PairVerdict],
-    kept: Kept,
-    *,
-    sigmas: bool = False,
+    maps: Sequence[TopoMap], inside: Sequence[PairVerdict], kept: Kept, *, sigmas: bool = False
 ) -> bytes:
     """A digest of everything that a component depends on: its maps and their names, the matches
     and ties that join them, strongest first, and whether sigmas are computed; not of evidence."""

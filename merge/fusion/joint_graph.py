@@ -2,8 +2,7 @@
 
 Every vertex of every run is a pose: its position, and the rotation of the run's map there in the
 component's frame. Corridors are relative measurements within a run, with covariances from the run's
-noise and one common scale error. Vertices of one place are connected by relative measurements
-between runs.
+noise and one common scale error. Measurements between runs connect the vertices of one place.
 """
 
 from __future__ import annotations
@@ -49,13 +48,11 @@ class JointSettings:
     branch_gate_rad: float = 0.6
     """Gate on the branches of one place in different maps."""
     bridge_m: float = 1.0
-    """Standard deviation of the relative position of parts of one map that no corridor
-    connects."""
+    """Standard deviation of the relative position of parts of one map that no corridor connects."""
     bridge_rad: float = 0.1
     """Standard deviation of the relative heading of such parts."""
     scaled_runs: int = 24
-    """Largest number of runs for which the scale of each odometry is estimated as well: memory and
-    time grow with its square."""
+    """Largest number of runs whose scales are estimated: memory and time grow with its square."""
     min_scale: float = 1e-6
     """Lower bound of the scale's standard deviation, 0.1 mm in 100 m, which keeps information
     finite; runs without odometry errors state 2e-5 to 1e-4."""
@@ -71,8 +68,7 @@ _SAMPLES = 64
 """Number of samples of the vertices' errors; their mean square has an error of a few per cent."""
 
 _LEAST_BEND = 0.03
-"""Lower bound of the share of a map's stated variances that is due to bending: they are estimated
-from 256 samples."""
+"""Lower bound of the share of a map's stated variances that is due to bending (sampled)."""
 
 _STIFF = 1.1
 """Factor on the variances of a map without a grid. Variances stated by maps, propagated through the
@@ -94,8 +90,7 @@ class Joint:
 
 
 def run_poses(runs: Sequence[str], verdicts: Sequence[PairVerdict]) -> dict[str, FloatArray]:
-    """Initial T_component_run of every run, along a maximum spanning tree of accepted verdicts by
-    evidence.
+    """Initial T_component_run of every run, along a maximum spanning tree by evidence.
 
     The frame is that of the first run by name; runs that are not connected to it are left out.
     """
@@ -112,11 +107,9 @@ def run_poses(runs: Sequence[str], verdicts: Sequence[PairVerdict]) -> dict[str,
         _, a, b, T_a_b = heapq.heappop(frontier)
         if a in poses and b in poses:
             continue
-        reached = b if a in poses else a
-        poses[reached] = (
-            compose(poses[a], T_a_b) if reached == b else compose(poses[b], inverse(T_a_b))
-        )
-        for link in links_of[reached]:
+        new = b if a in poses else a
+        poses[new] = compose(poses[a], T_a_b) if new == b else compose(poses[b], inverse(T_a_b))
+        for link in links_of[new]:
             if link[1] not in poses or link[2] not in poses:
                 heapq.heappush(frontier, link)
     return poses
@@ -158,10 +151,8 @@ def optimise_poses(
     )
     solution = solve(graph, SOLVER)
     first = pool.maps[0]
-    first_run_fit = (
-        fit_rigid(solution.pose[: len(first), :2], first.xy) if len(first) else np.zeros(3)
-    )
-    return Joint(compose(inverse(first_run_fit), solution.pose), graph, solution)
+    fit = fit_rigid(solution.pose[: len(first), :2], first.xy) if len(first) else np.zeros(3)
+    return Joint(compose(inverse(fit), solution.pose), graph, solution)
 
 
 def measured_within(pool: Pool) -> Measurements:
@@ -221,8 +212,7 @@ def bending(topomap: TopoMap) -> float:
     The corridors' variances are of random walks and of the scatter of passes. The `position_sigma`
     of vertices also contains constant errors of the odometry, which bend the map (a bias, a scale
     of turns), and the error of each centre. The latter is subtracted, without the part that a rigid
-    fit to the truth absorbs: 3 of the 2 n errors of n vertices, which with good odometry is as much
-    as all bending.
+    fit to the truth absorbs: 3 of 2 n errors, with good odometry as much as all bending.
     """
     if topomap.position_sigma is None or len(topomap) < 3:
         return 1.0
@@ -230,19 +220,16 @@ def bending(topomap: TopoMap) -> float:
     graph = replace(graph, priors=_grid_priors(Pool.of([topomap]), graph.pose))
     whole = np.zeros(len(topomap), np.int64)
     sampled = SampledMarginals.of(graph, solve(graph, SOLVER), _SAMPLES).error
-    sampled_sigma = VertexErrors(sampled).as_a_whole(topomap.xy, whole).position_sigma()
+    sigma = VertexErrors(sampled).as_a_whole(topomap.xy, whole).position_sigma()
     offset = topomap.xy - topomap.xy.mean(axis=0)
-    square_distance = (offset**2).sum(axis=1)
-    unabsorbed = (
-        1 - 1 / len(topomap) - square_distance / (2 * max(float(square_distance.sum()), 1e-12))
-    )
-    centre_variance = unabsorbed * topomap.centre_variance
-    scale_variance = noise.scale**2 * square_distance / 2
-    stated_variance = topomap.position_sigma**2
-    bent_variance = float((stated_variance - centre_variance - scale_variance).sum())
-    share = max(bent_variance, _LEAST_BEND * float(stated_variance.sum())) / max(
-        float((sampled_sigma**2).sum()), 1e-12
-    )
+    reach2 = (offset**2).sum(axis=1)
+    remaining = 1 - 1 / len(topomap) - reach2 / (2 * max(float(reach2.sum()), 1e-12))
+    centre_variance = remaining * topomap.centre_variance
+    scale_variance = noise.scale**2 * reach2 / 2
+    stated = topomap.position_sigma**2
+    bent_variance = float((stated - centre_variance - scale_variance).sum())
+    share = max(bent_variance, _LEAST_BEND * float(stated.sum()))
+    share /= max(float((sigma**2).sum()), 1e-12)
     return share if len(graph.priors) else _STIFF * share
 
 
@@ -293,10 +280,10 @@ def _place_factors(pool: Pool, label: IntArray, guess: FloatArray) -> Measuremen
         JOINT.branch_gate_rad,
     )  # fmt: skip
     position = np.hypot(centre[source], centre[target])
-    spread_of_turn = np.hypot(branch_sigma[source], branch_sigma[target]) / np.sqrt(
+    turn_sigma = np.hypot(branch_sigma[source], branch_sigma[target]) / np.sqrt(
         np.maximum(count, 1)
     )
-    sigma = np.maximum(spread_of_turn, JOINT.min_heading_rad)
+    sigma = np.maximum(turn_sigma, JOINT.min_heading_rad)
     information = np.zeros((len(source), 3, 3))
     information[:, 0, 0] = information[:, 1, 1] = position**-2.0
     information[:, 2, 2] = np.where(count > 0, sigma**-2.0, 0.0)
@@ -354,8 +341,7 @@ def measured_turn(
     """(k,) rotations of frames b in frames a by the branches of one place in both, and numbers of
     branches used: the mean difference a - b over mutually nearest branches within the gate.
 
-    heading_a, heading_b: (k, D) padded with NaN, each in its own map; expected_rad: (k,) expected
-    rotations.
+    heading_a, heading_b: (k, D) padded with NaN, each in its own map; expected_rad: (k,).
     """
     if not (heading_a.size and heading_b.size):
         return expected_rad.copy(), np.zeros(len(expected_rad), np.int64)

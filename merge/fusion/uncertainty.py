@@ -99,11 +99,7 @@ class Landmarks:
 
 
 def fused_sigmas(
-    pool: Pool,
-    label: IntArray,
-    graph: PoseGraph,
-    solution: Solution,
-    corridors: Sequence[Corridor],
+    pool: Pool, label: IntArray, graph: PoseGraph, solution: Solution, corridors: Sequence[Corridor]
 ) -> tuple[FloatArray, FloatArray, Spread]:
     """Standard deviations of the places' coordinates (p,) [m], after a rigid fit of the component
     to the truth, and of the corridors' lengths (c,) [m]; and the errors of the runs' placements.
@@ -167,8 +163,7 @@ def _length_sigmas(
 
 def _run_errors(pool: Pool, landmarks: Landmarks, error: FloatArray) -> Spread:
     """Sampled errors of the placements of a pool's maps. A placement is the rigid fit of a map to
-    its true positions, linear in small shifts of these. error: (…, 3, s), of the nodes of the joint
-    graph."""
+    its true positions, linear in small shifts. error: (…, 3, s), of the joint graph's nodes."""
     n, count = len(pool), len(pool.maps)
     of_run = csr_array((np.ones(n), (pool.run, np.arange(n))), shape=(count, n))
     size = np.maximum(np.bincount(pool.run, minlength=count), 1)[:, None]

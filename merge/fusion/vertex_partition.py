@@ -78,8 +78,7 @@ class Groups:
 def matched_groups(pool: Pool, verdicts: Iterable[PairVerdict]) -> Groups:
     """Groups by the matched pairs of all accepted verdicts, strongest evidence first.
 
-    Matches are transitive. A match that would put two vertices of a run into one group contradicts
-    stronger ones and is ignored.
+    Matches are transitive. One that would put two vertices of a run into one group is ignored.
     """
     groups = Groups(pool.run)
     for verdict in sorted(verdicts, key=lambda v: (-v.evidence_bits, v.a, v.b)):

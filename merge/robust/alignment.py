@@ -19,7 +19,7 @@ from .conflicts import NO_CONFLICTS, Conflicts, conflicts
 from .growth import Grown, grow, ungrown
 from .links import Links, Seed, candidate_links, seeds
 from .mirror import mirrored
-from .prepare import Prepared, prepare
+from .prepare import Prepared, as_points, prepare
 from .settings import MATCH, RobustSettings
 from .support import NO_SUPPORT, Support, supports
 from .view_evidence import (
@@ -104,8 +104,13 @@ class Candidate:
 
     def move(self, z: complex) -> complex:
         """Position in a of a point x + iy of b."""
-        x, y, theta = self.transform.tolist()
-        return complex(x + 1j * y + np.exp(1j * theta) * z)
+        return complex(moved(self.transform, z))
+
+
+def moved(pose: FloatArray, z: ComplexArray | complex) -> ComplexArray:
+    """Points z, x + iy [m], moved by a pose (3,)."""
+    x, y, theta = pose.tolist()
+    return np.asarray(np.exp(1j * theta) * z + (x + 1j * y))
 
 
 NO_JUNCTIONS = Candidate(
@@ -219,8 +224,8 @@ def _rivals(case: Hypotheses, links: Links, settings: RobustSettings) -> Hypothe
 def evaluate_all(
     cases: Iterable[Hypotheses], settings: RobustSettings
 ) -> Iterator[tuple[Candidate, ...]]:
-    """The candidates of many pairs of maps: their hypotheses grown and evaluated, in batches that
-    fit the processor's cache."""
+    """The candidates of many pairs of maps: their hypotheses, grown in batches that fit the
+    cache."""
     for batch in _batches(cases, lambda case: len(case.b) * len(case.seeds), MATCH.at_once):
         yield from _evaluate_batch(batch, settings)
 
@@ -309,7 +314,7 @@ def _fit_lanes(grown: Grown) -> tuple[FloatArray, FloatArray]:
     """`fit_matches` of every lane, (l, 3) and (l,); zeros for lanes without a match."""
     lanes, count = grown.lanes, len(grown.lanes)
     transform, rmse = np.zeros((count, 3)), np.zeros(count)
-    pa, pb = _points(lanes.a.whole.z[grown.a]), _points(lanes.b.whole.z[grown.b])
+    pa, pb = as_points(lanes.a.whole.z[grown.a]), as_points(lanes.b.whole.z[grown.b])
     matched, group = np.unique(grown.lane, return_inverse=True)
     transform[matched] = fit_groups(pa, pb, group, np.ones(len(group)))
     residual = pa - apply(transform[grown.lane], pb)
@@ -418,8 +423,7 @@ def _candidate_at(
     many placements into account, and junctions had no choice.
     """
     x, y, theta = T_a_b.tolist()
-    placed = np.exp(1j * theta) * b.z + (x + 1j * y)
-    gap = np.abs(a.z[:, None] - placed)
+    gap = np.abs(a.z[:, None] - moved(T_a_b, b.z))
     nearest_a, nearest_b = gap.argmin(axis=0), gap.argmin(axis=1)
     mutual = nearest_b[nearest_a] == np.arange(len(b))
     pairs = np.flatnonzero(mutual & (gap.min(axis=0) < MATCH.gate_m + MATCH.crossing_m))
@@ -446,10 +450,6 @@ def fit_matches(xy_a: FloatArray, xy_b: FloatArray) -> tuple[FloatArray, float]:
     transform = fit_rigid(xy_a, xy_b)
     residual = xy_a - apply(transform, xy_b)
     return transform, float(np.sqrt((residual * residual).sum() / len(residual)))
-
-
-def _points(z: ComplexArray) -> FloatArray:
-    return z.view(np.float64).reshape(-1, 2)
 
 
 def same_placement(x: Candidate, y: Candidate, b: Prepared) -> bool:

@@ -135,8 +135,8 @@ def _wide(maps: Sequence[Prepared], name: str, padding: complex) -> NDArray[Any]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lanes:
-    """l hypotheses of pairs of maps side by side, one lane each. The t rows are the vertices of the
-    second maps, lane by lane.
+    """l hypotheses of pairs of maps side by side, one lane each. The t rows are the second maps'
+    vertices.
 
     of_a, of_b: (l,) the two maps in the atlases a and b; first: (l + 1,) first row of each lane;
     lane, vertex: (t,) lane and vertex of b of each row; shift: (l,) row of a vertex of b, minus the

@@ -30,8 +30,7 @@ class Batch:
 
     locked, discarded: pairs named by a lock, and those whose match the user discarded; summaries:
     results of matching, of all pairs that were matched; verdicts: on each of these pairs.
-    Assessments with all candidates would fill the memory: they are made again for the few pairs
-    that other runs concern.
+    Assessments would fill the memory: the few that are needed later are made again.
     """
 
     matcher: Pairwise
@@ -146,8 +145,7 @@ class Batch:
         self, components: Components, joined: Iterable[Pair]
     ) -> dict[Pair, Refusal]:
         """Match the pairs that were screened out and now overlap, or were joined by their
-        components. Returns the refusals of those that are merged by themselves with another
-        placement."""
+        components. Returns the refusals of those merged elsewhere."""
         places = self.matcher.places
         if len(self.summaries) == pairs_of(len(places)):
             return {}

@@ -17,8 +17,8 @@ from scipy.spatial import cKDTree
 from ...topology.arrays import ComplexArray, FloatArray, IntArray
 from ...topology.se2 import compose, inverse, wrap
 from ..result import Alignment, PairVerdict
-from .alignment import Candidate
-from .prepare import Prepared
+from .alignment import Candidate, moved
+from .prepare import Prepared, as_points
 from .repetition import size_difference
 from .settings import MATCH
 from .verdict import OTHER_SIZE
@@ -72,8 +72,7 @@ class Components:
 
 @dataclass(frozen=True, slots=True)
 class Refusal:
-    """Why a pair was not joined in spite of its evidence. advice: what settles it, if that is not
-    another recording."""
+    """Why a pair was not joined despite its evidence. advice: what settles it."""
 
     reason: str
     advice: str | None = None
@@ -102,7 +101,7 @@ def agrees(alignment: Alignment, T_a_b: FloatArray, b: ComplexArray) -> bool:
     if len(matched):
         centre = matched.mean()
         reach = abs(complex(centre - middle))
-    by_alignment, by_pose = (_moved(T, centre) for T in (alignment.transform, T_a_b))
+    by_alignment, by_pose = (moved(T, centre) for T in (alignment.transform, T_a_b))
     gap = abs(complex(by_alignment - by_pose))
     turn = abs(float(wrap(alignment.transform[2] - T_a_b[2])))
     return gap < MATCH.place_m + MATCH.drift_per_m * reach and turn < MATCH.turn_rad
@@ -121,8 +120,7 @@ def join_all(
 
     best: alignment of each pair; places: of every run its junctions, x + iy [m]; runs: names of all
     runs; refusal: further objections to joining the components of a pair. A pair that closes a
-    cycle must agree with the stronger pairs around it. In a contradiction the weakest pair, which
-    comes last, is refused.
+    cycle must agree with the stronger pairs around it. Else it is refused.
     """
     refused: dict[Pair, Refusal] = {}
     for i, j in strongest_first:
@@ -154,9 +152,9 @@ def overlapping_pairs(components: Components, places: Sequence[ComplexArray]) ->
         if len(members) < 2:
             continue
         runs = sorted(members)
-        placed = [_moved(components.pose[k], places[k]) for k in runs]
+        placed = [moved(components.pose[k], places[k]) for k in runs]
         owner = np.arange(len(runs)).repeat([len(z) for z in placed])
-        near = cKDTree(np.concatenate(placed).view(np.float64).reshape(-1, 2)).query_pairs(
+        near = cKDTree(as_points(np.concatenate(placed))).query_pairs(
             MATCH.place_m, output_type="ndarray"
         )
         runs_of_points = np.sort(owner[near], axis=1)
@@ -165,12 +163,6 @@ def overlapping_pairs(components: Components, places: Sequence[ComplexArray]) ->
         )
         pairs += [(runs[i], runs[j]) for i, j in distinct[count >= MATCH.fewest].tolist()]
     return sorted(pairs)
-
-
-def _moved(pose: FloatArray, z: ComplexArray | np.complex128) -> ComplexArray:
-    """Points z, x + iy [m], moved by a pose (3,)."""
-    x, y, theta = pose.tolist()
-    return np.asarray(np.exp(1j * theta) * z + (x + 1j * y))
 
 
 LARGER_TOGETHER = Refusal(
@@ -206,8 +198,7 @@ class Across:
         """Why the components of a pair must not be joined by it; None if they may.
 
         Only where a single pair between them differs in size or resembles a copy, all pairs are
-        tested. The evidence for a copy must exceed `lead_bits`, because it overrules a pair that is
-        merged by itself.
+        tested. The evidence for a copy must exceed `lead_bits`: it overrules a merged pair.
         """
         if pair in self.locked:
             return None

@@ -20,8 +20,7 @@ from .prepare import Prepared
 from .settings import MATCH
 
 BESIDE_M = float(np.hypot(MATCH.clear_m / 2, MATCH.gate_m))
-"""Upper bound of the distance [m] of a point inside a corridor from the corridor's nearest sample
-point."""
+"""Upper bound of the distance [m] of a point in a corridor from its nearest sample."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,26 +101,18 @@ class Contradiction:
         )
 
 
-def contradictions(all_conflicts: Conflicts, a: Prepared, b: Prepared) -> list[Contradiction]:
+def contradictions(found: Conflicts, a: Prepared, b: Prepared) -> list[Contradiction]:
     """All contradictions of a match, undetected junctions first."""
 
     def rows(x: Unseen) -> Iterator[tuple[int, int, float]]:
         return zip(x.vertex.tolist(), x.edge.tolist(), x.bits.tolist(), strict=True)
 
     return [
+        *(Contradiction("unseen", _ends(a, e), (v,), bits) for v, e, bits in rows(found.in_a)),
+        *(Contradiction("unseen", (v,), _ends(b, e), bits) for v, e, bits in rows(found.in_b)),
         *(
-            Contradiction("unseen", _ends(a, e), (v,), bits)
-            for v, e, bits in rows(all_conflicts.in_a)
-        ),
-        *(
-            Contradiction("unseen", (v,), _ends(b, e), bits)
-            for v, e, bits in rows(all_conflicts.in_b)
-        ),
-        *(
-            Contradiction(
-                "elsewhere", _ends(a, row_a), _ends(b, row_b), all_conflicts.elsewhere_bits
-            )
-            for row_a, row_b in all_conflicts.elsewhere.tolist()
+            Contradiction("elsewhere", _ends(a, row_a), _ends(b, row_b), found.elsewhere_bits)
+            for row_a, row_b in found.elsewhere.tolist()
         ),
     ]
 
@@ -136,8 +127,7 @@ NO_CONFLICTS = Conflicts(_NONE, _NONE, np.zeros((0, 2), np.int64), 0.0)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _AllUnseen:
-    """`Unseen` vertices of all lanes, sorted by lane, with vertices and edges numbered as in the
-    atlases."""
+    """`Unseen` vertices of all lanes, sorted by lane, numbered as in the atlases."""
 
     lane: IntArray
     vertex: IntArray
@@ -148,10 +138,8 @@ class _AllUnseen:
         """Those of each lane with a weight above 0, numbered as in its maps. first_vertex,
         first_edge: (l,) first rows of its two maps in the atlases."""
         positive = take(self, self.bits.nonzero()[0])
-        vertex, edge = (
-            positive.vertex - first_vertex[positive.lane],
-            positive.edge - first_edge[positive.lane],
-        )
+        vertex = positive.vertex - first_vertex[positive.lane]
+        edge = positive.edge - first_edge[positive.lane]
         slices = starmap(slice, pairwise(cuts(positive.lane, len(first_vertex))))
         return [Unseen(vertex[k], edge[k], positive.bits[k]) for k in slices]
 
@@ -188,8 +176,7 @@ def _elsewhere(
     end_a, end_b = a.head[leave_a], b.head[leave_b]
 
     def explained(rows: IntArray, unseen: _AllUnseen, by: IntArray, count: int) -> BoolArray:
-        """Whether rows of the corridors' lanes are among `by`, rows of unseen vertices; all rows
-        are below `count`."""
+        """Whether rows of the corridors' lanes are among `by`, both below `count`."""
         return np.isin(lane * count + rows, unseen.lane * count + by)
 
     vertices, corridors = max(len(a), len(b)), max(len(a.tail), len(b.tail))
@@ -270,8 +257,7 @@ def _unseen_bits(
 def _unreported_bends(
     blind: tuple[Atlas, IntArray], seeing: tuple[Atlas, IntArray], vertex: IntArray
 ) -> BoolArray:
-    """(k,) whether vertices of the seeing maps are bends, which the detectors of the blind maps do
-    not report."""
+    """(k,) whether vertices of the seeing maps are bends, which the blind maps do not report."""
     bend = seeing[0].whole.count[vertex] == 2
     return np.asarray(bend & ~blind[0].shows_bends[blind[1]])
 
@@ -299,8 +285,7 @@ def _unseen_b(grown: Grown, near: BoolArray) -> _AllUnseen:
 
 
 def _unseen_a(grown: Grown, near: BoolArray) -> _AllUnseen:
-    """Unmatched vertices of a well inside corridors of b, found beside points of these. near: as in
-    `_unseen_b`."""
+    """Unmatched vertices of a well inside corridors of b. near: as in `_unseen_b`."""
     lanes, a, b = grown.lanes, grown.lanes.a.whole, grown.lanes.b.whole
     lane, rows = lanes.rows_of(lanes.b.point)
     shift = lanes.shift[lane]

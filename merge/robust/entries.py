@@ -119,8 +119,7 @@ class Case:
     def _accepted(
         self, chosen: Candidate, *, by: AcceptedBy, reason: str = "{}", lacks: str = ""
     ) -> PairVerdict:
-        """The verdict of a pair joined by one of its alignments. The alignment in words replaces
-        the braces in the reason."""
+        """The verdict of a pair joined by one of its alignments, in words at the braces."""
         best = self._alignment(chosen)
         ranked = (w.candidate for w in self.assessment.ranked)
         others = (c for c in ranked if not same_placement(c, chosen, self.b))
@@ -264,8 +263,7 @@ def advice(a: Prepared, b: Prepared, assessment: Assessment) -> str | None:
 
 class _Option(NamedTuple):
     """A corridor that the run `known` drove from `vertex` to `end`, of a length [m]. The run
-    `other` saw it leave its `other_vertex`, which is matched with `vertex`, and did not drive
-    it."""
+    `other` saw it leave the matched `other_vertex`, and did not drive it."""
 
     known: Prepared
     vertex: int

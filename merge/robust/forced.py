@@ -59,8 +59,7 @@ def _corridor_seeds(a: Prepared, b: Prepared, va: int, vb: int) -> list[Seed]:
 
 
 def _branch_seeds(a: Prepared, b: Prepared, va: int, vb: int) -> list[Seed]:
-    """Hypotheses that match two vertices alone, with every rotation that aligns two of their
-    branches."""
+    """Hypotheses of two vertices alone, with every rotation that aligns two branches."""
     turns = a.heading[va, : a.count[va], None] - b.heading[vb, : b.count[vb]]
     return [
         Seed(

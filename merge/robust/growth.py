@@ -185,9 +185,9 @@ def predict(lanes: Lanes, partner: IntArray, start_turn: ComplexArray) -> Predic
 def _fit_lanes(
     sums: ComplexArray, start_turn: ComplexArray
 ) -> tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray]:
-    """Rigid fits to all matches of each lane, from their sums (l, 4): rotation, shift, centroid of
-    the matches in b, and a term by which the rotation enters local fits, with the weight of a match
-    at a distance of `place_m`."""
+    """Rigid fits to all matches of each lane, from their sums (l, 4): rotation, shift, centroid
+    of the matches in b, and the rotation as a term of local fits, with the weight of a match at
+    `place_m`."""
     count = np.maximum(sums[:, 0].real, 1.0)
     lever = MATCH.place_m**2 * start_turn
     turn, centre_a, centre_b = rigid_from_sums(count, sums[:, 1], sums[:, 2], sums[:, 3], lever)

@@ -103,9 +103,8 @@ def seeds(
     rival_bits: float = np.inf,
     first: Sequence[Seed] = (),
 ) -> list[Seed]:
-    """The best `most` connected components of the association graph, as seeds of growth, best
-    first; and, as rivals, other components with more than `rival_bits`, as many as are grown at
-    once.
+    """The best `most` connected components of the association graph as seeds, best first; and as
+    rivals others with more than `rival_bits`, as many as are grown at once.
 
     first: the seeds of the best `most`, if they are known. Nodes of the graph are (vertex a, vertex
     b, rotation), edges the links (§2.3). Inside a component the transforms of its links vote, so

@@ -1,9 +1,7 @@
-"""The pairwise stage: results of earlier merges are looked up, other pairs are matched, in this
-process or by workers.
+"""The pairwise stage: earlier results are looked up, other pairs matched, here or by workers.
 
 A task is pairs of maps matched by one worker, as a pure function. It names maps by run and content
-digest; the worker reads them. All results are bytes, so that one process, many, and a cache give
-the same numbers.
+digest; the worker reads them. All results are bytes: one process, many, and a cache agree.
 """
 
 from __future__ import annotations
@@ -62,8 +60,8 @@ TASKS = TaskSettings()
 class MatchTask:
     """Pairs to be matched.
 
-    kind: of match; runs: name and digest of each map; pairs: (k, 2) rows of them; read: gives maps
-    that the worker has not cached.
+    kind: of match; runs: name and digest of each map; pairs: (k, 2) rows of these; read: gives
+    uncached maps.
     """
 
     kind: Kind
@@ -80,8 +78,7 @@ def tile_order(pairs: IntArray) -> IntArray:
 
 
 def era_of(settings: RobustSettings) -> bytes:
-    """Digest of all that results depend on but the maps: the program, the libraries and the
-    settings of matching."""
+    """Digest of what results depend on beside maps: program, libraries and settings."""
     values = asdict(replace(settings, false_merge_rate=DEFAULT_ROBUST.false_merge_rate))
     program = program_digest("topology", "merge").hex()
     parts = [program, np.__version__, scipy.__version__, values]

@@ -34,7 +34,7 @@ class NearestNeighbours:
     def of(cls, z: ComplexArray) -> NearestNeighbours:
         """Build the structure. O(n log n)."""
         centre = complex(z.mean()) if len(z) else 0j
-        points = _points(z - centre)
+        points = as_points(z - centre)
         half = (points * points).sum(axis=1) / 2
         tree = cKDTree(points) if len(z) else None
         return cls(z, centre, np.ascontiguousarray(points.T), half, tree)
@@ -52,16 +52,17 @@ class NearestNeighbours:
             return np.full(len(queries), np.inf), np.zeros(len(queries), np.int64)
         centred = queries - self.centre
         if len(queries) * len(self.z) > MATCH.most_pairs:
-            distance, index = self.tree.query(_points(centred), distance_upper_bound=within_m)
+            distance, index = self.tree.query(as_points(centred), distance_upper_bound=within_m)
             return np.asarray(distance), np.asarray(index)
         # Nearest is where |w - z|² = |w|² - 2 (w · z - |z|² / 2) is least.
-        score = _points(centred) @ self.across
+        score = as_points(centred) @ self.across
         score -= self.half
         index = score.argmax(axis=1)
         return np.abs(queries - self.z[index]), index
 
 
-def _points(z: ComplexArray) -> FloatArray:
+def as_points(z: ComplexArray) -> FloatArray:
+    """(n, 2) points x, y of complex numbers (n,)."""
     return np.ascontiguousarray(z).view(np.float64).reshape(-1, 2)
 
 

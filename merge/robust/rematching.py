@@ -104,8 +104,7 @@ class MergedMaps:
         self._made: dict[Runs, MergedMap] = {}
 
     def of(self, runs: Runs, accepted: Mapping[Pair, Alignment]) -> MergedMap:
-        """The merged map of some runs, sorted, by the accepted alignments between them. Those do
-        not change while the runs do not."""
+        """The merged map of some runs, sorted, by the accepted alignments between them."""
         if runs not in self._made:
             maps, inside = self._matcher.maps, []
             for i, j in sorted(pair for pair in accepted if set(runs).issuperset(pair)):
@@ -149,8 +148,7 @@ a run are 3 m apart, so that views of another run may fill its gaps."""
 
 
 def _thin(views: Sequence[Views]) -> Views:
-    """Views of several runs as those of one. A view is kept if it is `VIEWS_APART_M` from all kept
-    before it."""
+    """Views of several runs as those of one: each `VIEWS_APART_M` from those before it."""
     if not views:
         return NO_VIEWS
     concatenated = joined(views)
@@ -234,8 +232,7 @@ class Rematcher:
 
     def _open_components(self) -> list[Sides]:
         """Pairs of components with an undecided pair of runs between them. Left out are pairs of
-        single runs, and those that a lock or a discarded match, which would be found again, keeps
-        apart."""
+        single runs, and those that a lock or a discarded match keeps apart."""
         members, head = self.components.members, self.components.head
         self.undecided = [(i, j) for i, j in self.undecided if head[i] != head[j]]
         across = {(head[i], head[j]) for i, j in self.undecided}
@@ -279,8 +276,7 @@ class Rematcher:
         return [union for key in keys if (union := self._known[key]) is not None]
 
     def _union(self, a: MergedMap, b: MergedMap, assessment: Assessment) -> _Union | None:
-        """The union of two components; None if there is too little evidence for it, or if it does
-        not satisfy a lock."""
+        """The union of two components; None without the evidence, or if a lock is not satisfied."""
         if assessment.verdict is not Verdict.MERGED or assessment.best is None:
             return None
         implied = _implied_alignments(a, b, assessment)

@@ -196,8 +196,7 @@ def fits_by_noise(a: Prepared, b: Prepared, corridors: IntArray) -> float:
 
 def size_difference(a: Prepared, b: Prepared, corridors: IntArray) -> tuple[float, float]:
     """Relative difference in size, a / b - 1, and its variance without the scale errors of the
-    odometries; 0 and inf if no corridor can be compared. corridors: (c, 2) matched directed
-    rows."""
+    odometries; 0 and inf without corridors. corridors: (c, 2) matched directed rows."""
     i, j = corridors[:, 0], corridors[:, 1]
     length_a, length_b = a.length[i], b.length[j]
     difference, variance = length_a - length_b, a.variance[i] + b.variance[j]

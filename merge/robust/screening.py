@@ -209,12 +209,8 @@ class Corridors:
         total = np.bincount(owner, np.maximum(bits, 0.0), self.maps)
         promising = np.flatnonzero((total - choice_bits >= least_bits)[owner])
         if len(promising):
-            row, column, bits, owner = (
-                row[promising],
-                column[promising],
-                bits[promising],
-                owner[promising],
-            )
+            row, column = row[promising], column[promising]
+            bits, owner = bits[promising], owner[promising]
             label = link_components(
                 a.tail[row] * self.vertices + self.tail[column],
                 a.head[row] * self.vertices + self.head[column],
@@ -229,16 +225,11 @@ class Corridors:
         variance, length = a.variance[:half], a.length[:half]
         reach = MATCH.length_sigmas * np.sqrt(variance + self.worst_variance(length))
         key = a.pattern[:half] * LENGTH_SCALE + length
-        row, column = windows(
-            self.key.searchsorted(key - reach), self.key.searchsorted(key + reach)
-        )
+        low, high = self.key.searchsorted(key - reach), self.key.searchsorted(key + reach)
+        row, column = windows(low, high)
         later = np.flatnonzero(self.owner[column] > after)
         row, column = row[later], column[later]
-        difference = a.length[row] - self.length[column]
-        fits = difference * difference < MATCH.length_sigmas**2 * (
-            a.variance[row] + self.variance[column]
-        )
-        compatible = np.flatnonzero(
-            fits & (np.abs(a.sagitta[row] - self.sagitta[column]) < MATCH.gate_m)
-        )
-        return row[compatible], column[compatible]
+        d = a.length[row] - self.length[column]
+        fits = d * d < MATCH.length_sigmas**2 * (a.variance[row] + self.variance[column])
+        fits &= np.abs(a.sagitta[row] - self.sagitta[column]) < MATCH.gate_m
+        return row[fits], column[fits]

@@ -158,8 +158,7 @@ class MatchSettings:
     forty-fifth."""
     floor_rad: float = 0.03
     """Noise of branches beyond the estimated one [rad]: detectors depend on the direction of view.
-    Without it tunnels repeat themselves more by chance, and fewer pairs of them are merged.
-    """
+    Without it tunnels repeat themselves more by chance, and fewer pairs of them are merged."""
 
     @property
     def contested_bits(self) -> float:

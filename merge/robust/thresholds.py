@@ -72,11 +72,6 @@ def thresholds(
     unrepeated = _unrepeated_bits(prepared, copies, linked, settings)
 
     @cache
-    def pairs_beyond(need: float) -> int:
-        """Number of pairs with at least so much evidence against chance [bits]."""
-        return int(np.count_nonzero(evidence >= need))
-
-    @cache
     def copies_in(groups: frozenset[int]) -> CopyModel:
         """How the buildings of some groups, by `_like_buildings`, repeat themselves."""
         maps = (k for k in range(len(self_matches)) if ANY in groups or like[k] in groups)
@@ -85,7 +80,8 @@ def thresholds(
 
     @cache  # few differ: most maps of like buildings have the same `copied`
     def cached(groups: frozenset[int], pairs: int, size: float, unrepeated: float) -> Threshold:
-        beyond, model = pairs_beyond(needed_bits(pairs, settings)), copies_in(groups)
+        beyond = int(np.count_nonzero(evidence >= needed_bits(pairs, settings)))
+        model = copies_in(groups)
         return threshold_for(
             pairs, beyond, model, settings, copied=size, unrepeated_bits=unrepeated
         )
@@ -111,14 +107,11 @@ def _like_buildings(maps: int, linked: Iterable[Pair], settings: RobustSettings)
 
 
 def _copied(
-    copies_of_maps: Sequence[Sequence[Candidate]],
-    like: Sequence[int],
-    settings: RobustSettings,
+    copies_of_maps: Sequence[Sequence[Candidate]], like: Sequence[int], settings: RobustSettings
 ) -> list[float]:
     """Number of junctions of every map's largest copy of a part of itself, at least the
     `copied_share` quantile of the maps of like buildings; inf where the copy may extend beyond the
-    map. copies_of_maps: copies of parts of each map, better than chance; like: by
-    `_like_buildings`."""
+    map. copies_of_maps: of parts of each map; like: by `_like_buildings`."""
     sizes: dict[int, list[int]] = defaultdict(list)
     for building, copies in zip(like, copies_of_maps, strict=True):
         for group in {building, ANY}:

@@ -72,8 +72,7 @@ class Threshold:
         return _share(2.0 - size / self.copied) if self.copied else 0.0
 
     def repetition_by_views(self, c: Candidate) -> float:
-        """The repetition by views; 0 where the junctions alone suffice and no part of either map
-        matches another part of it."""
+        """The repetition by views; 0 where junctions alone suffice and neither map shows a copy."""
         by_junctions = c.bits - c.views.total >= self.need_bits and not self.copied
         return 0.0 if by_junctions else c.views.repeated
 
@@ -190,8 +189,7 @@ def threshold_for(
 def needed_bits(pairs: int, settings: RobustSettings) -> float:
     """Threshold against chance with `pairs` pairs (Bonferroni): log2(pairs / rate).
 
-    The number of pairs is `rounded_up`, so that one more run seldom changes the threshold of all
-    others.
+    The number of pairs is `rounded_up`: one more run seldom changes it.
     """
     return float(np.log2(max(rounded_up(pairs), 1) / settings.false_merge_rate))
 
@@ -239,8 +237,7 @@ def walls_fit(a: Prepared, b: Prepared, c: Candidate) -> bool:
 
 def repetition_by_misfit(a: Prepared, b: Prepared, c: Candidate) -> float:
     """The repetition by lengths that differ by more than noise in all: 1 or 0. Places of one design
-    can agree in every junction and differ a little in many corridors; each difference by itself
-    might be noise."""
+    can agree in every junction and differ a little in many corridors; each might be noise."""
     if walls_fit(a, b, c):
         return 0.0
     return float(fits_by_noise(a, b, c.corridors) < MATCH.misfit_rate)
@@ -271,9 +268,8 @@ def assess_all(pairs: Sequence[Matched]) -> list[Assessment]:
     """Verdicts on pairs from their candidate alignments.
 
     merged: enough evidence against chance, not a copy, and a lead over every other placement and
-    the mirror image.
-    ambiguous: beyond chance, but one of the three is missing, or too few junctions agree.
-    unrelated: nothing beyond chance.
+    the mirror image. ambiguous: beyond chance, but one of the three is missing, or too few
+    junctions agree. unrelated: nothing beyond chance.
 
     The test for copies is applied where the building has corridors of few lengths, to alignments no
     larger than repetitions within the maps, whose lengths differ by more than noise, and where the
@@ -366,8 +362,8 @@ def _combined_copy_bits(lengths: float, views: float) -> float:
 
 def _beyond_chance(candidates: Sequence[Candidate], threshold: Threshold) -> list[Candidate]:
     """Alignments better than chance (`lead_bits`): those with enough junctions to be merged. If
-    there are none, smaller ones that reach the threshold, or by their counted evidence that of two
-    runs alone."""
+    there are none, smaller ones that reach the threshold, or that of two runs by their counted
+    bits."""
     beyond = [c for c in candidates if c.bits > MATCH.lead_bits]
     enough = [c for c in beyond if c.witnesses >= threshold.settings.min_matches]
     alone = needed_bits(1, threshold.settings)

@@ -17,13 +17,14 @@ from itertools import pairwise
 import numpy as np
 
 from ...topology.arrays import BoolArray, FloatArray, IntArray
+from ...topology.columns import take
 from ...topology.matching.likelihood import BIT
 from ...topology.matching.views import LEAST_SAME, Registered, register
 from ...topology.se2 import apply, between, compose, fit_rigid, rigid_from_sums
 from ...topology.views import Views
 from ..wording import AGREES_BITS
 from .settings import MATCH
-from .view_search import CACHED_MAPS, Picture, pictured, placements
+from .view_search import CACHED_MAPS, Picture, evenly_spread, pictured, placements
 
 NEAR_M = 2.5
 """Largest distance of two views that are registered with each other: they share most of what they
@@ -38,8 +39,7 @@ seed, 6 to 43 % of others within this distance exceed the null's 99 %, 0 to 28 %
 SEARCH_PAIRS, JUDGE_PAIRS = 6, 24
 """Pairs of views that are registered to find the best placements, and to judge one."""
 LEAST_Z = 1.5
-"""Least z of a pair of views that places one map in the other: 99 % of pairs of other places stay
-below in five real buildings."""
+"""Least z of a pair of views of one place: 99 % of other pairs are below, in five buildings."""
 PASSES_M = 20.0
 """Least way between two passes that share no scans."""
 REVISIT_M = 1.5
@@ -99,9 +99,8 @@ class ViewEvidence:
         return _self_similarity(*self.null) if len(self) else 1.0
 
     def residual_m(self, a: Views, b: Views) -> float:
-        """Root mean square residual [m] of one rigid motion of b fitted to the registered positions
-        of the parts that agree; inf for fewer parts than `MATCH.fewest`. a, b: views of the
-        maps."""
+        """Root mean square residual [m] of one rigid motion of b fitted to the registered
+        positions of the parts that agree; inf for fewer parts than `MATCH.fewest`."""
         agrees = self.z > LEAST_Z
         part = np.unique(self.cell[agrees], return_inverse=True)[1]
         registered = compose(a.pose[self.first[agrees]], self.transform[agrees])
@@ -164,16 +163,6 @@ class Overlap:
     def __len__(self) -> int:
         return len(self.first)
 
-    def take(self, rows: slice) -> Overlap:
-        """The given pairs of views."""
-        return Overlap(
-            self.first[rows],
-            self.second[rows],
-            self.predicted[rows],
-            self.registered[rows],
-            self.registration.take(rows),
-        )
-
     @cached_property
     def cell(self) -> IntArray:
         """(k,) part of the overlap that each pair is in."""
@@ -202,8 +191,7 @@ class Overlap:
 
     @cached_property
     def correction(self) -> FloatArray:
-        """(3,) rigid motion that best moves predicted to registered poses, by the pairs that agree;
-        zeros if none does."""
+        """(3,) rigid motion from predicted to registered poses that agree; zeros if none do."""
         weight = np.clip(self.registration.z - LEAST_Z, 0.0, 2.0)
         total = weight.sum()
         if total <= 0:
@@ -255,24 +243,27 @@ def overlaps(
     rows = [_nearest_views(a, poses, most) for poses in placed]
     first, second = (np.concatenate(column) for column in zip(*rows, strict=True))
     predicted = np.concatenate([poses[near] for poses, (_, near) in zip(placed, rows, strict=True)])
-    relative = between(a.pose[first], predicted)
-    turns = relative[:, 2, None] + TURNS
-    registration = register(
-        a.index, b.index, first, second, turns, reach_m=slack_m, centre=relative[:, :2]
-    )
+    expected = between(a.pose[first], predicted)
+    registration = _registered(a, b, (first, second), expected, slack_m)
     registered = compose(a.pose[first], registration.transform)
     concatenated = Overlap(first, second, predicted, registered, registration)
     ends = np.cumsum([len(near) for _, near in rows]).tolist()
-    return [concatenated.take(slice(begin, end)) for begin, end in pairwise([0, *ends])]
+    return [take(concatenated, slice(begin, end)) for begin, end in pairwise([0, *ends])]
+
+
+def _registered(
+    a: Picture, b: Picture, pairs: tuple[IntArray, IntArray], expected: FloatArray, slack_m: float
+) -> Registered:
+    """Pairs of views of a and b registered around the expected poses (k, 3)."""
+    turns, centre = expected[:, 2, None] + TURNS, expected[:, :2]
+    return register(a.index, b.index, *pairs, turns, reach_m=slack_m, centre=centre)
 
 
 def _nearest_views(a: Picture, poses: FloatArray, most: int) -> tuple[IntArray, IntArray]:
-    """Up to `most` pairs of views within `NEAR_M`, evenly spread: rows of a, and of b at poses
-    (n, 3)."""
+    """Up to `most` pairs of views within `NEAR_M`: rows of a, and of b at poses (n, 3)."""
     gap, closest = a.nearest.query(poses[:, :2])
     near = np.flatnonzero(gap < NEAR_M)
-    spread = np.linspace(0, len(near) - 1, min(len(near), most))
-    second = near[np.unique(np.rint(spread).astype(np.int64))]
+    second = near[evenly_spread(len(near), most)]
     return np.asarray(closest, np.int64)[second], second
 
 
@@ -409,8 +400,7 @@ SLOPE_Z = 0.05
 
 
 def _copy_level(repeat_z: Sequence[FloatArray], other_part_z: Sequence[FloatArray]) -> Level:
-    """The mean z of copies: of repeats within the maps, and of other placements of the two, given
-    by the z of their parts."""
+    """The mean z of copies: of repeats within the maps, and of other placements, by their parts."""
     other_z = [float(part_z.mean()) for part_z in other_part_z if len(part_z) >= MATCH.fewest]
     z = np.concatenate([*repeat_z, other_z])
     lacking = max(FALSE_COUNT - len(z), 0)
@@ -462,8 +452,7 @@ def _consistency_bits(overlap: Overlap, consistent_in_copies: float, null: Level
 
 
 def _self_similarity(mean: float, sigma: float) -> float:
-    """0 to 1: how far buildings repeat themselves, by mean and standard deviation of the z of
-    copies."""
+    """0 to 1: how far buildings repeat themselves, by the distribution of z of copies."""
     return min(max((mean - sigma - FALSE.mean) / FALSE.sigma, 0.0), 1.0)
 
 
@@ -523,8 +512,7 @@ def repeats(views: Views) -> Repeats:
 
 
 def _agreeing_size(part_z: FloatArray) -> float:
-    """How much of two maps agrees at a placement: the number of its parts, times the mean z beyond
-    that of parallel walls."""
+    """Extent of the agreement: the number of parts, times mean z beyond that of parallel walls."""
     return len(part_z) * max(float(part_z.mean()) - PARALLEL_Z, 0.0)
 
 
@@ -536,13 +524,9 @@ PARALLEL_Z = 2.0
 def revisits(views: Views) -> FloatArray:
     """z of pairs of views of one run, of the same place on different passes."""
     a = pictured(views)
-    arc_m = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(a.place)))])
     near = a.nearest.query_pairs(REVISIT_M, output_type="ndarray")
-    near = np.sort(near[np.abs(np.diff(arc_m[near], axis=1)[:, 0]) > PASSES_M], axis=1)
-    first, second = near[np.lexsort((near[:, 1], near[:, 0]))].T
-    spread = np.unique(np.rint(np.linspace(0, len(first) - 1, min(len(first), JUDGE_PAIRS))))
-    first, second = first[spread.astype(np.int64)], second[spread.astype(np.int64)]
-    relative = between(a.pose[first], a.pose[second])
-    turns = relative[:, 2, None] + TURNS
-    centre = relative[:, :2]
-    return register(a.index, a.index, first, second, turns, reach_m=SLACK_M, centre=centre).z
+    near = np.sort(near[np.abs(np.diff(a.arc_m[near], axis=1)[:, 0]) > PASSES_M], axis=1)
+    pairs = near[np.lexsort((near[:, 1], near[:, 0]))]
+    first, second = pairs[evenly_spread(len(pairs), JUDGE_PAIRS)].T
+    expected = between(a.pose[first], a.pose[second])
+    return _registered(a, a, (first, second), expected, SLACK_M).z

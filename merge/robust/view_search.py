@@ -83,6 +83,11 @@ class Picture:
         return np.asarray(self.pose[:, 0] + 1j * self.pose[:, 1])
 
     @cached_property
+    def arc_m(self) -> FloatArray:
+        """(n,) way from the first view to each [m]."""
+        return np.concatenate([[0.0], np.cumsum(np.abs(np.diff(self.place)))])
+
+    @cached_property
     def nearest(self) -> cKDTree:
         """Nearest-neighbour index of the positions."""
         return cKDTree(self.pose[:, :2])
@@ -125,8 +130,7 @@ class Picture:
 
     @property
     def tiles(self) -> Iterable[Tile]:
-        """The map drawn on its squares. A single tile is kept; several, which may be too many, are
-        drawn one at a time."""
+        """The map drawn on its squares. Several are drawn one at a time."""
         return (self._whole,) if len(self.squares) == 1 else map(self._tile, self.squares)
 
     @cached_property
@@ -152,11 +156,9 @@ class Picture:
         return tuple(self._stretches())
 
     def _stretches(self) -> Iterator[Stretch]:
-        arc_m = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(self.place)))])
-        starts = np.arange(0.0, max(arc_m[-1] - STRETCH_M, 0.0) + STEP_M, STEP_M)
-        spread = np.linspace(0, len(starts) - 1, min(len(starts), MOST_STRETCHES))
-        for start in starts[np.unique(np.rint(spread).astype(np.int64))].tolist():
-            rows = np.flatnonzero((arc_m >= start) & (arc_m <= start + STRETCH_M))
+        starts = np.arange(0.0, max(self.arc_m[-1] - STRETCH_M, 0.0) + STEP_M, STEP_M)
+        for start in starts[evenly_spread(len(starts), MOST_STRETCHES)].tolist():
+            rows = np.flatnonzero((self.arc_m >= start) & (self.arc_m <= start + STRETCH_M))
             if not len(rows):
                 continue
             # A jump from one view to the next tears a stretch apart.
@@ -170,8 +172,7 @@ class Picture:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stretch:
-    """Walls and free space along a stretch of way around its middle, x + iy [m], and the
-    `directions` of its walls."""
+    """Walls and free space of a stretch of way, its middle, x + iy [m], and `directions`."""
 
     walls: ComplexArray
     free: ComplexArray
@@ -182,6 +183,12 @@ class Stretch:
     def reach_m(self) -> float:
         """Distance of the farthest cell from the middle [m]."""
         return max(float(np.abs(z - self.middle).max(initial=0)) for z in (self.walls, self.free))
+
+
+def evenly_spread(count: int, most: int) -> IntArray:
+    """Up to `most` of so many rows, evenly spread."""
+    rows = np.rint(np.linspace(0, count - 1, min(count, most)))
+    return np.unique(rows.astype(np.int64))
 
 
 _pictures: OrderedDict[Views, Picture] = OrderedDict()
@@ -210,8 +217,7 @@ def _pictured(views: Views) -> Picture:
 
 
 def directions(walls: ComplexArray) -> FloatArray:
-    """(ANGLES,) how clearly walls lie along and across each direction of a quarter turn, 0 for not
-    at all.
+    """(ANGLES,) how clearly walls lie along or across each direction.
 
     Walls are projected on both axes into strips as wide as a cell: where they lie along the axes,
     few strips hold most cells. (Averaged normals err by 6° where cells lie along other axes.)
@@ -345,8 +351,7 @@ def _rotation(directions_a: FloatArray, directions_b: FloatArray) -> float:
 
 
 def _peaks(score: NDArray[np.float32]) -> Iterator[tuple[int, int, float]]:
-    """Row, column and value of the `PEAKS` best pixels, apart from each other; overwrites
-    `score`."""
+    """Row, column and value of the `PEAKS` best pixels, not adjacent; overwrites `score`."""
     size, around = len(score), np.arange(-4, 5)
     for _ in range(PEAKS):
         y, x = divmod(int(score.argmax()), size)

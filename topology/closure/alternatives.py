@@ -32,11 +32,7 @@ _ZERO = 1e-13
 positions to 1 km beside headings to 1 mrad have 1e-12."""
 
 
-def most_likely_closure(
-    reckoning: DeadReckoning,
-    first: Closed,
-    fitted: DeadReckoning,
-) -> Closed:
+def most_likely_closure(reckoning: DeadReckoning, first: Closed, fitted: DeadReckoning) -> Closed:
     """The most likely closure: `first`, unless many corridors of its map cross and an alternative
     leads by the odds that stricter identifications need, with a map that does not repeat itself.
 
@@ -61,15 +57,13 @@ def most_likely_closure(
 
 
 def _repeats(closed: Closed) -> bool:
-    """Whether a map repeats itself: then a closure that is one lattice step off explains the run as
-    well, but is not compared."""
+    """Whether a map repeats itself: a closure one lattice step off would explain the run, too."""
     state = map_state(closed.reckoning, closed.place, closed.estimate)
     return state.common.lattice.repeats
 
 
 def _log_likelihood(fitted: DeadReckoning, closed: Closed) -> float:
-    """Log marginal likelihood of a closure's places, with one noise for all closures and without a
-    grid, which not all of them have."""
+    """Log marginal likelihood of a closure's places, with the same noise for all and no grid."""
     estimate = optimise(fitted, closed.place, closed.estimate.pose)
     density = background(fitted, fitted.noise).density
     return log_marginal_likelihood(estimate, density)
@@ -131,5 +125,4 @@ def crossing_share(closed: Closed) -> float:
 def _side(a: FloatArray, b: FloatArray, p: FloatArray) -> FloatArray:
     """Positive where points p lie to the left of the lines from a to b, negative to the right."""
     u, v = b - a, p - a
-    side: FloatArray = u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0]
-    return side
+    return np.asarray(u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0])

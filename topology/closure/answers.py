@@ -21,8 +21,7 @@ class Identification:
 
     bits: evidence for it; turn_rad: rotation that aligns the branches of `second` with those of
     `first`, in addition to the estimate of that round [rad]; round: in which it was decided, from 1
-    on, 0 if not by rounds; accepted_round: the round in which it was accepted, if this takes it
-    back.
+    on, 0 if not by rounds; accepted_round: if taken back.
     """
 
     first: int
@@ -38,8 +37,7 @@ class Identification:
 def explained(
     doubts: dict[tuple[int, int], Identification], reasons: dict[tuple[int, int], str]
 ) -> dict[tuple[int, int], Identification]:
-    """The doubts with the reason "not sure enough" for which `reasons` has a more specific one,
-    with this reason."""
+    """The doubts that are "not sure enough", with the more specific reasons in `reasons`."""
     return {
         pair: replace(doubts[pair], reason=reason)
         for pair, reason in reasons.items()

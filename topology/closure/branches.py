@@ -97,21 +97,18 @@ def align(
     for rows, trial in _trials(between, reach):
         turned_a, turned_b = unit_a[rows], unit_b[rows] * trial[:, None]
         pairs = mutual_nearest(turned_a, turned_b)
-        residual = turned_a * np.take_along_axis(turned_b, pairs.nearest, axis=1).conj()
-        odds, best_turn = _most_likely_turn(
-            pairs, residual, trial, turn_sigma[rows], branches.variance
-        )
+        rest = turned_a * np.take_along_axis(turned_b, pairs.nearest, axis=1).conj()
+        odds, fitted = _best_turn(pairs, rest, trial, turn_sigma[rows], branches.variance)
         odds += missing(pairs, lack_a[rows], lack_b[rows])
         better = odds > score[rows]
         improved = rows[better]
-        score[improved], turn[improved] = odds[better], best_turn[better] + mean[improved]
+        score[improved], turn[improved] = odds[better], fitted[better] + mean[improved]
         partner[improved] = np.where(pairs.paired, pairs.nearest, -1)[better]
     return Alignment(score - np.maximum(branches.common[a], branches.common[b]), turn, partner)
 
 
 def _trials(between: ComplexArray, reach: FloatArray) -> Iterator[tuple[IntArray, ComplexArray]]:
-    """Rotations to try: (rows, rotation of each row as a unit number), by increasing angle, each
-    once.
+    """Rotations to try, by increasing angle: (rows, unit number of each row).
 
     between: (k, m) rotations from branches of b to branches of a as unit numbers, 0 where there is
     no branch; reach: (k,) largest rotation [rad].
@@ -120,35 +117,31 @@ def _trials(between: ComplexArray, reach: FloatArray) -> Iterator[tuple[IntArray
     limit = np.cos(np.minimum(reach, np.pi))
     rows = np.arange(len(between))
     while True:
-        nearest = cosine.argmax(axis=1)
-        within = cosine[np.arange(len(rows)), nearest] > limit
-        rows, between, cosine, limit, nearest = (
-            x[within] for x in (rows, between, cosine, limit, nearest)
+        best = cosine.argmax(axis=1)
+        within = cosine[np.arange(len(rows)), best] > limit
+        rows, between, cosine, limit, best = (
+            x[within] for x in (rows, between, cosine, limit, best)
         )
         if len(rows) == 0:
             return
-        trial = between[np.arange(len(rows)), nearest]
+        trial = between[np.arange(len(rows)), best]
         yield rows, trial
         # Rotations near this one give the same pairs.
         cosine[(between * trial.conj()[:, None]).real > COS_GATE] = -np.inf
 
 
-def _most_likely_turn(
-    pairs: BranchPairs,
-    residual: ComplexArray,
-    trial: ComplexArray,
-    sigma: FloatArray,
-    variance: float,
+def _best_turn(
+    pairs: BranchPairs, rest: ComplexArray, trial: ComplexArray, sigma: FloatArray, variance: float
 ) -> tuple[FloatArray, FloatArray]:
     """(k,) log likelihood ratio of the paired branches at the most likely rotation, and this
     rotation [rad]: the mean over the pairs, with the prior N(0, sigma²).
 
-    residual: (k, s) rotation of each pair after `trial`, as unit numbers.
+    rest: (k, s) rotation of each pair after `trial`, as unit numbers.
     """
-    residual = np.where(pairs.paired, residual, 0.0)
+    rest = np.where(pairs.paired, rest, 0.0)
     weight = pairs.paired.sum(axis=1) / variance
-    turn = (np.angle(trial) + np.angle(residual.sum(axis=1))) * weight / (weight + sigma**-2)
-    cosine = (residual * (trial * np.exp(-1j * turn))[:, None]).real
+    turn = (np.angle(trial) + np.angle(rest.sum(axis=1))) * weight / (weight + sigma**-2)
+    cosine = (rest * (trial * np.exp(-1j * turn))[:, None]).real
     fitted = BranchPairs(pairs.paired, pairs.nearest, 2 - 2 * cosine)
     odds = agreeing(fitted, np.array([variance]), ANYWHERE)
     return odds - 0.5 * (turn / sigma) ** 2, turn
@@ -158,8 +151,7 @@ def _null_log_likelihood(unit: ComplexArray, lack: FloatArray, variance: float) 
     """(n,) log likelihood of each place's branches at another place of this run.
 
     A kernel density estimate: the mean, over a fixed sample of places, of the likelihood of these
-    branches there, without rotation; mixed with a share `outlier_share` for sets of branches that
-    no other place has.
+    branches there, without rotation; mixed with a share `outlier_share` for unique ones.
     """
     n = len(unit)
     sample = np.arange(0, n, max(1, n // EVIDENCE.references))
@@ -178,10 +170,8 @@ def _null_log_likelihood(unit: ComplexArray, lack: FloatArray, variance: float) 
         odds = np.where(nearest_b > COS_GATE, odds, cost[:, rows, None]).sum(axis=0)
         odds += np.where(nearest_a > COS_GATE, 0.0, cost[:, None, sample]).sum(axis=0)
         odds[np.arange(n)[rows, None] == sample] = -np.inf
-        largest = np.maximum(odds.max(axis=1), 0.0)
-        mean = np.exp(odds - largest[:, None]).sum(axis=1) / max(len(sample) - 1, 1)
-        outlier_share = LIKELIHOOD.outlier_share
-        log_likelihood[rows] = (
-            np.log((1 - outlier_share) * mean + outlier_share * np.exp(-largest)) + largest
-        )
+        top = np.maximum(odds.max(axis=1), 0.0)
+        mean = np.exp(odds - top[:, None]).sum(axis=1) / max(len(sample) - 1, 1)
+        rare = LIKELIHOOD.outlier_share
+        log_likelihood[rows] = np.log((1 - rare) * mean + rare * np.exp(-top)) + top
     return log_likelihood

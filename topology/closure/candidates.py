@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from ..arrays import BoolArray, FloatArray, IntArray
@@ -16,12 +14,7 @@ from ..se2 import turned_axes
 from .branches import align
 from .dead_reckoning import dead_reckoning_covariance
 from .estimate import Estimate
-from .evidence import (
-    EVIDENCE,
-    Background,
-    among_neighbours,
-    position_odds,
-)
+from .evidence import EVIDENCE, Background, among_neighbours, position_odds
 from .growth import MapState, grow
 from .negative_information import DrivenGround, driven_ground
 from .places import HOPS, Places
@@ -57,14 +50,10 @@ class Surroundings:
     conflict: FloatArray
     turn: FloatArray
 
-    def __getitem__(self, rows: NDArray[Any]) -> Surroundings:
-        return take(self, rows)
-
     @property
     def odds(self) -> FloatArray:
         """(k,) all of it [nats]."""
-        out: FloatArray = self.branches + self.support - self.conflict
-        return out
+        return np.asarray(self.branches + self.support - self.conflict)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,14 +78,12 @@ class Candidates:
     @property
     def alike(self) -> FloatArray:
         """(k,) all evidence but that of position [nats]."""
-        out: FloatArray = self.around.odds - self.aliasing_penalty
-        return out
+        return np.asarray(self.around.odds - self.aliasing_penalty)
 
     @property
     def total(self) -> FloatArray:
         """(k,) all evidence [nats]."""
-        out: FloatArray = self.position + self.alike
-        return out
+        return np.asarray(self.position + self.alike)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -114,17 +101,10 @@ class _Pairs:
 
     def shift_covariance(self, common: Background) -> FloatArray:
         """(k, 2, 2) covariance of the shift, including the noise of both centres."""
-        out: FloatArray = self.cov[:, :2, :2] + 2 * common.centre_sigma**2 * np.eye(2)
-        return out
+        return np.asarray(self.cov[:, :2, :2] + 2 * common.centre_sigma**2 * np.eye(2))
 
 
-def candidates(
-    state: MapState,
-    place: IntArray,
-    estimate: Estimate,
-    *,
-    exact: bool,
-) -> Candidates:
+def candidates(state: MapState, place: IntArray, estimate: Estimate, *, exact: bool) -> Candidates:
     """All pairs of places that position and branches allow, with the terms of their evidence.
 
     Dead reckoning bounds the covariances first. If `exact`, the pairs that it does not exclude get
@@ -157,8 +137,7 @@ def candidates(
 
 
 def _possible_pairs(state: MapState, place: IntArray, estimate: Estimate) -> _Pairs:
-    """Pairs of places within reach, in one piece of odometry, with upper bounds of their
-    covariance.
+    """Pairs of places within reach, in one piece of odometry, with bounds of covariances.
 
     Pairs excluded by dead reckoning alone stay excluded: closures only reduce the uncertainty.
     """
@@ -207,20 +186,17 @@ def calibrated_odds(around: FloatArray, null_pairs: FloatArray, slack: float = 0
     within_slack = len(null_pairs) - np.searchsorted(null_pairs, around - slack)
     share = np.maximum(np.log1p(at_least), np.log1p(within_slack) - 1.0)
     beyond = np.maximum(around - null_pairs[-1], 0.0)
-    odds: FloatArray = np.log1p(len(null_pairs)) - share + beyond
-    return odds
+    return np.asarray(np.log1p(len(null_pairs)) - share + beyond)
 
 
 def pairs_within(xy: FloatArray, reach_m: float, most: int) -> IntArray:
-    """(k, 2) pairs a < b of points within `reach_m`, sorted; within a shorter reach if there are
-    more than `most`."""
+    """(k, 2) pairs a < b of points within `reach_m`, or less if more than `most`; sorted."""
     tree = cKDTree(xy)
     while (count := int(tree.count_neighbors(tree, reach_m))) > 2 * most + len(xy):
         # The number of pairs (here both directions) grows with the square of the reach.
         reach_m *= float(np.sqrt(most / count))
     pairs = tree.query_pairs(reach_m, output_type="ndarray").astype(np.int64)
-    ordered: IntArray = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
-    return ordered
+    return np.asarray(pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))])
 
 
 def _nearest_pairs(pairs: _Pairs, most: int) -> _Pairs:
@@ -243,8 +219,8 @@ def _surroundings(state: MapState, pairs: _Pairs) -> Surroundings:
 def _nearest_in_time(
     places: Places, place: IntArray, a: IntArray, b: IntArray
 ) -> tuple[IntArray, IntArray]:
-    """A pass of each of two places, close in time: the first pass of the later place, and the last
-    pass of the other place before it."""
+    """A pass of each of two places, close in time: the first of the later place, and the last
+    before it."""
     earlier, later = np.where(places.first[a] < places.first[b], [a, b], [b, a])
     count = len(place)
     pass_of_place = np.sort(place * count + np.arange(count))
@@ -265,5 +241,4 @@ def _exact_covariance(estimate: Estimate, a: IntArray, b: IntArray) -> FloatArra
 def _rotated(cov: FloatArray, turn: FloatArray) -> FloatArray:
     """Covariances (k, 3, 3) of x, y and heading in axes rotated by `turn` (k,) [rad]."""
     R = turned_axes(turn)
-    out: FloatArray = R @ cov @ R.transpose(0, 2, 1)
-    return out
+    return np.asarray(R @ cov @ R.transpose(0, 2, 1))

@@ -67,8 +67,7 @@ class DeadReckoning:
     the place to where the robot came from and went to, NaN where unknown. aside: (p,) distance at
     which the robot passed the place [m]. sums: (p, 13) prefix sums over the odometry up to each
     pass (see `_prefix_sums`), about `origin` (p, 2), the centroid of the pass's piece; jumps: (p,
-    7) the same for the variances of jumps; loops: relative poses of passes apart in time, measured
-    by views.
+    7) the same for the variances of jumps; loops: measured by views.
     """
 
     passes: Passes
@@ -127,8 +126,7 @@ FAR_M = 15.0
 def _loops_of_passes(
     odometry: Odometry, passes: Passes, noise: RunNoise, revisits: SeenAgain
 ) -> Factors:
-    """Every revisit as a loop between the nearest passes; of several between two passes the most
-    certain one."""
+    """Every revisit as a loop between its nearest passes; for each pair the most certain."""
     if not len(revisits) or not len(passes):
         return NO_FACTORS
     pass_arc_m, stretch = way_at(odometry, passes.time_ns), stretch_of(odometry, passes.time_ns)
@@ -279,5 +277,4 @@ def dead_reckoning_covariance(
 def _between(sums: FloatArray, first: IntArray, second: IntArray) -> FloatArray:
     """(k, c) sums over the odometry between two passes each, in either order."""
     low, high = np.minimum(first, second), np.maximum(first, second)
-    difference: FloatArray = sums[high] - sums[low]
-    return difference
+    return np.asarray(sums[high] - sums[low])

@@ -1,5 +1,4 @@
-"""The estimate of a run: poses of its passes and places by a pose graph, given which passes were by
-one place."""
+"""The estimate of a run: poses of passes and places by a pose graph, given the places."""
 
 from __future__ import annotations
 
@@ -43,8 +42,8 @@ class EstimateSettings:
     efficient with Gaussian errors (Holland, Welsch 1977) and found fewer places in rows, before
     corridors held these straight (`benchmarks/ablation.txt`, part 2)."""
     settled_chi2: float = 0.1
-    """Absolute tolerance of the solver in χ²: a smaller step moves no pose by a third of its
-    standard deviation."""
+    """Absolute tolerance of the solver in χ²: smaller steps move poses by less than a third
+    sigma."""
     samples: int = 64
     """Samples for covariances of many nodes, and for the redundancy of edges
     (`variance_components.py`): standard error of a variance √(2 / 64) = 18 %."""
@@ -235,8 +234,8 @@ def _solve_with_gate(graph: PoseGraph, observed: slice) -> tuple[PoseGraph, Solu
 
 
 def _reduced_chi2(chi2: FloatArray, freedom: int, gate: float) -> float:
-    """Σ χ² per degree of freedom, with edges beyond the gate counted as on it (iterated); 1 without
-    degrees of freedom."""
+    """Σ χ² per degree of freedom, with edges beyond the gate counted as on it; 1 without
+    freedom."""
     if freedom == 0:
         return 1.0
     reduced = float(chi2.sum()) / freedom
@@ -245,13 +244,8 @@ def _reduced_chi2(chi2: FloatArray, freedom: int, gate: float) -> float:
     return reduced
 
 
-def _priors(
-    grid: GridHeadings | None,
-    corridors: GridCorridors | None,
-    first_line: int,
-) -> Priors:
-    """Priors of the headings of passes, and of the directions of lines (nodes from `first_line`
-    on)."""
+def _priors(grid: GridHeadings | None, corridors: GridCorridors | None, first_line: int) -> Priors:
+    """Priors of headings of passes, and of directions of lines (nodes from `first_line`)."""
     if grid is None:
         return Priors.empty()
     row, turn, sigma = grid.row, grid.turn, grid.sigma
@@ -298,10 +292,7 @@ def _information(cov: FloatArray) -> FloatArray:
 
 
 def _observations(
-    reckoning: DeadReckoning,
-    place: IntArray,
-    node: IntArray,
-    turn: FloatArray,
+    reckoning: DeadReckoning, place: IntArray, node: IntArray, turn: FloatArray
 ) -> Factors:
     """Observations of places with several passes, which have nodes of their own: the centres
     coincide, the branches fix the rotation."""

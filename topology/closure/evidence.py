@@ -29,8 +29,8 @@ class EvidenceSettings:
     (`LIKELIHOOD.fault_floor`) nearer to each other. Tried: 0.1, no change. Also the share of passes
     that are farther from the track than `Background.reach_m`."""
     inflation: float = 1.2
-    """Factor on the estimated sigmas, which are from few revisits. Tried: with 1, two places of a
-    run on tiles are identified."""
+    """Factor on the estimated sigmas, which are from few revisits. Tried: with 1, two places on
+    tiles are identified."""
     bandwidth_rad: float = 0.12
     """Width of the kernels of the null model of sets of branches, in addition to the noise [rad].
     Tried: with 0 and 0.06 a revisit of a real run (Intel) is no longer found."""

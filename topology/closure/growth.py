@@ -37,8 +37,7 @@ GROWTH = GrowthSettings()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MapState:
-    """The state of the map: places, their positions xy (n, 2) [m] and branches, and the statistics
-    of the run."""
+    """The state of the map: places, positions xy (n, 2) [m], branches, and statistics."""
 
     reckoning: DeadReckoning
     places: Places
@@ -76,10 +75,7 @@ class _Reached:
 
 
 def grow(
-    state: MapState,
-    a: IntArray,
-    b: IntArray,
-    aligned: Alignment,
+    state: MapState, a: IntArray, b: IntArray, aligned: Alignment
 ) -> tuple[FloatArray, FloatArray]:
     """Evidence [nats] for and against the hypotheses "place a[k] is place b[k]", both (k,) and
     positive, from the corridors around that agree and that disagree, over `HOPS` hops.
@@ -152,22 +148,12 @@ def _leave(places: Places, front: _Front) -> _Reached:
     is_same_leg = (qa == pb) & (qb == pa) & (ea == slot_b) & (eb == slot_a)
     usable = (qa != NOWHERE) & (qb != NOWHERE) & ~is_same_leg & (pa != pb)
     la, lb = places.length[pa, slot_a], places.length[pb, slot_b]
-    no_missed = np.zeros(int(usable.sum()), np.int64)
-    return _Reached(
-        row[usable],
-        qa[usable],
-        qb[usable],
-        ea[usable],
-        eb[usable],
-        la[usable],
-        lb[usable],
-        no_missed,
-    )
+    columns = (row, qa, qb, ea, eb, la, lb, np.zeros(len(row), np.int64))
+    return _Reached(*(column[usable] for column in columns))
 
 
 def _compare(state: MapState, front: _Front, pairs: _Reached) -> tuple[_Reached, IntArray]:
-    """Pairs of legs that agree, possibly past one missed junction; and, for each of the others, its
-    row of the front."""
+    """Pairs of legs that agree, possibly past one missed junction; and rows of the others."""
     agree = _agree(state, front, pairs)
     disagreeing = np.flatnonzero(~agree)
     past_missed = _past_missed(state, front, take(pairs, disagreeing))
@@ -185,34 +171,28 @@ def _agree(state: MapState, front: _Front, pairs: _Reached) -> BoolArray:
     chord_b = state.xy[pairs.qb] - state.xy[front.b[pairs.row]]
     dx, dy = (chord_a - turned(chord_b, front.turn[pairs.row])).T
     tolerance = LIKELIHOOD.gate_sigmas * np.sqrt(variance + state.branches.variance * pairs.la**2)
-    agrees: BoolArray = lengths_agree & (np.hypot(dx, dy) < tolerance)
-    return agrees
+    return np.asarray(lengths_agree & (np.hypot(dx, dy) < tolerance))
 
 
 def _past_missed(state: MapState, front: _Front, pairs: _Reached) -> tuple[_Reached, IntArray]:
     """Pairs of legs that agree after the shorter leg is extended by one more leg, past a junction
-    that the other one missed. Returns them, and the row of `pairs` of each.
-    """
+    that the other one missed. Returns them, and the row of `pairs` of each."""
     short_a = pairs.la < pairs.lb
-    missed_place, entry = (
-        np.where(short_a, pairs.qa, pairs.qb),
-        np.where(short_a, pairs.ea, pairs.eb),
-    )
-    index, slot = np.nonzero(state.places.next_place[missed_place] != NOWHERE)
+    missed = np.where(short_a, pairs.qa, pairs.qb)
+    entry = np.where(short_a, pairs.ea, pairs.eb)
+    index, slot = np.nonzero(state.places.next_place[missed] != NOWHERE)
     is_onward = slot != entry[index]
     index, slot = index[is_onward], slot[is_onward]
-    place, extends_a = missed_place[index], short_a[index]
-    next_place, next_slot = (
-        state.places.next_place[place, slot],
-        state.places.next_slot[place, slot],
-    )
+    place, extends_a = missed[index], short_a[index]
+    onward = state.places.next_place[place, slot]
+    onward_slot = state.places.next_slot[place, slot]
     added_m = state.places.length[place, slot]
     extended = _Reached(
         row=pairs.row[index],
-        qa=np.where(extends_a, next_place, pairs.qa[index]),
-        qb=np.where(extends_a, pairs.qb[index], next_place),
-        ea=np.where(extends_a, next_slot, pairs.ea[index]),
-        eb=np.where(extends_a, pairs.eb[index], next_slot),
+        qa=np.where(extends_a, onward, pairs.qa[index]),
+        qb=np.where(extends_a, pairs.qb[index], onward),
+        ea=np.where(extends_a, onward_slot, pairs.ea[index]),
+        eb=np.where(extends_a, pairs.eb[index], onward_slot),
         la=pairs.la[index] + np.where(extends_a, added_m, 0.0),
         lb=pairs.lb[index] + np.where(extends_a, 0.0, added_m),
         missed=np.ones(len(index), np.int64),
@@ -228,5 +208,4 @@ def _past_missed(state: MapState, front: _Front, pairs: _Reached) -> tuple[_Reac
 def _leg_variance(state: MapState, la: FloatArray, lb: FloatArray) -> FloatArray:
     along = state.reckoning.noise.along_m_per_sqrt_m**2 * (la + lb)
     constant = 2 * GROWTH.wobble_m**2 + 4 * state.common.centre_sigma**2
-    variance: FloatArray = constant + along
-    return variance
+    return np.asarray(constant + along)

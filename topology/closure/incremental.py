@@ -1,8 +1,7 @@
 """Full closure: incremental identification, the most certain first.
 
-A run is available as a whole, so it is not closed pass by pass. Each round makes the
-identifications that are certain, optimises the pose graph again, and leaves its smaller uncertainty
-to the next round.
+A run is available as a whole, so it is not closed pass by pass. Each round makes the certain
+identifications and optimises the pose graph again, which leaves less uncertainty to the next.
 """
 
 from __future__ import annotations
@@ -36,12 +35,7 @@ from .estimate import Estimate, optimise
 from .evidence import background, measured_rates, with_lattice
 from .growth import MapState
 from .joint_compatibility import agreeing
-from .manhattan import (
-    GridCorridors,
-    GridHeadings,
-    grid_corridors,
-    grid_headings,
-)
+from .manhattan import GridCorridors, GridHeadings, grid_corridors, grid_headings
 from .places import NOWHERE, Places, tabulate
 from .variance_components import with_shown_spread
 
@@ -98,8 +92,7 @@ class Closed:
 
 
 def full_closure(reckoning: DeadReckoning, wrong_share: float = ROUNDS.wrong_share) -> Closed:
-    """Identify the passes of a run, with its headings constrained by the grid of the building, if
-    it has one."""
+    """Identify the passes of a run, with headings by the grid of its building, if any."""
     return _in_rounds(_Closure(reckoning, grid_headings(reckoning), wrong_share))
 
 
@@ -238,16 +231,14 @@ def map_state(reckoning: DeadReckoning, place: IntArray, estimate: Estimate) -> 
 
 
 def _fitting_scale(scale: float, estimate: Estimate) -> float:
-    """The factor on the noise, raised if the residuals of the estimate are significantly too large
-    (χ² gate)."""
+    """The factor on the noise, raised if residuals are significantly too large (χ² gate)."""
     if estimate.reduced_chi2 * estimate.freedom > LIKELIHOOD.gate_chi2(estimate.freedom):
         return scale * float(np.sqrt(estimate.reduced_chi2))
     return scale
 
 
 def _blocked(found: Candidates, blocked: set[tuple[int, int]], place: IntArray) -> BoolArray:
-    """(k,) whether a candidate would identify two passes again whose identification was taken
-    back."""
+    """(k,) whether a candidate's identification was taken back before."""
     pairs = {frozenset((int(place[i]), int(place[j]))) for i, j in blocked}
     ends = zip(found.a.tolist(), found.b.tolist(), strict=True)
     return np.array([frozenset(pair) in pairs for pair in ends], bool)
@@ -262,8 +253,7 @@ def _partition(count: int, links: list[Identification]) -> IntArray:
 
 def _alignment_turns(place: IntArray, identifications: list[Identification]) -> FloatArray:
     """(p,) rotations that align the branches of newly identified places [rad], propagated along the
-    identifications. place: (p,) before these.
-    """
+    identifications. place: (p,) before these."""
     links_of: dict[int, list[tuple[int, float]]] = {}
     for q in identifications:
         a, b = int(place[q.first]), int(place[q.second])
@@ -283,13 +273,11 @@ def _alignment_turns(place: IntArray, identifications: list[Identification]) -> 
                     visited.add(b)
                     turn[b] = turn[a] + step
                     stack.append(b)
-    turns: FloatArray = turn[place]
-    return turns
+    return np.asarray(turn[place])
 
 
 def _certain(places: Places, found: Candidates, least_odds: float) -> list[Identification]:
-    """The candidates whose log odds against all candidates that they exclude reach `least_odds`,
-    best first."""
+    """The candidates whose log odds against all they exclude reach `least_odds`, best first."""
     total, likely = found.total, _LikelyCandidates.of(places, found)
     certain = []
     for k in sorted(likely.ends, key=lambda row: (-total[row], row)):

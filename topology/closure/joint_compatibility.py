@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..arrays import BoolArray, FloatArray, IntArray
+from ..columns import take
 from ..passes import ONE_WAY_RAD
 from ..posegraph.marginals import Marginals
 from .candidates import Candidates
@@ -66,12 +67,10 @@ class _JointShifts:
         cov = blocks + 2 * self.common.centre_sigma**2 * np.eye(2)
         shift = self.shift.reshape(k, 2)
         odds, _ = position_odds(self.common, shift, cov, self.ground)
-        out: FloatArray = among_neighbours(self.common, odds, shift, cov) + self.alike
-        return out
+        return np.asarray(among_neighbours(self.common, odds, shift, cov) + self.alike)
 
     def given(self, row: int) -> _JointShifts:
-        """The shifts given that a candidate is one place: a Kalman update with a measured shift of
-        0."""
+        """The shifts if a candidate is one place: a Kalman update with shift 0."""
         at = slice(2 * row, 2 * row + 2)
         noise = 2 * self.common.centre_sigma**2 * np.eye(2)
         gain = np.linalg.solve(self.cov[at, at] + noise, self.cov[at]).T
@@ -81,11 +80,7 @@ class _JointShifts:
 
 
 def agreeing(
-    estimate: Estimate,
-    found: Candidates,
-    common: Background,
-    *,
-    least_odds: float,
+    estimate: Estimate, found: Candidates, common: Background, *, least_odds: float
 ) -> Agreement:
     """The candidates that are jointly certain: their joint log odds reach `least_odds` [nats].
 
@@ -96,22 +91,18 @@ def agreeing(
     if len(rows) < 2:
         return _NO_AGREEMENT
     a, b = found.a[rows], found.b[rows]
-    prior = _JointShifts(*_shifts(estimate, a, b), found.alike[rows], found.ground[rows], common)
+    prior = _JointShifts(
+        *_shifts(estimate, a, b), found.alike[rows], take(found.ground, rows), common
+    )
     shared, excluded = _sharing(a, b)
     # Candidates that share a place are not independent; each set holds one of them.
-    sets = [
-        _grown_set(prior, found.around.support[rows], seed, shared) for seed in range(len(rows))
-    ]
+    sets = [_grow(prior, found.around.support[rows], seed, shared) for seed in range(len(rows))]
     set_odds = np.array([value for value, _ in sets])
     best = int(set_odds.argmax())
     members = np.sort(np.array(sets[best][1]))
     if len(members) < 2 or set_odds[best] < least_odds:
         return _NO_AGREEMENT
-    rivals = [
-        value
-        for value, members_of_rival in sets
-        if excluded[np.ix_(members, np.array(members_of_rival))].any()
-    ]
+    rivals = [value for value, other in sets if excluded[np.ix_(members, np.array(other))].any()]
     if set_odds[best] - max(rivals, default=-np.inf) < EVIDENCE.lead:
         return Agreement(rows[members], np.zeros(0), RIVALS)
     if _one_step_off(prior, members) > -EVIDENCE.lead:
@@ -143,10 +134,8 @@ def _one_step_off(prior: _JointShifts, members: IntArray) -> float:
         # Conditional distribution of the mean shift of the group, given the others.
         mean = np.tile(np.eye(2), int(group.sum())) / group.sum()
         group_cov = np.linalg.inv(information[np.ix_(in_group, in_group)])
-        mean_shift, precision = (
-            mean @ group_cov @ information_shift[in_group],
-            np.linalg.inv(mean @ group_cov @ mean.T),
-        )
+        mean_shift = mean @ group_cov @ information_shift[in_group]
+        precision = np.linalg.inv(mean @ group_cov @ mean.T)
         chi2 = np.einsum("ri,ij,rj->r", step - 2 * mean_shift, precision, step)
         worst = max(worst, float((odds - 0.5 * chi2).max()))
     return worst
@@ -181,7 +170,7 @@ def _shifts(estimate: Estimate, a: IntArray, b: IntArray) -> tuple[FloatArray, F
     return (estimate.xy[a] - estimate.xy[b]).ravel(), difference @ full @ difference.T
 
 
-def _grown_set(
+def _grow(
     prior: _JointShifts, support: FloatArray, seed: int, shared: BoolArray
 ) -> tuple[float, list[int]]:
     """Joint log odds of the set that grows greedily from candidate `seed`, and its members. The

@@ -52,27 +52,19 @@ class Lattice:
     def density(self, shift: FloatArray, cov: FloatArray) -> FloatArray:
         """(k,) other junctions per m² at `shift` (k, 2) [m], known with covariance `cov` (k, 2, 2)
         [m²]."""
-        densities: FloatArray = _gaussians(shift, self.steps, cov) @ self.share
-        return densities
+        return np.asarray(_gaussians(shift, self.steps, cov) @ self.share)
 
     def is_step(self, shift: FloatArray) -> BoolArray:
         """(k,) whether `shift` (k, 2) [m] is a lattice vector."""
         distance_m = np.abs(shift[:, None, :] - self.steps).max(axis=2)
-        matches: BoolArray = (distance_m < 2 * LATTICE.width_m).any(axis=1)
-        return matches
+        return np.asarray((distance_m < 2 * LATTICE.width_m).any(axis=1))
 
 
 NO_LATTICE = Lattice(np.zeros((0, 2)), np.zeros(0))
 """The lattice of a map that does not repeat itself."""
 
 
-def lattice_of(
-    places: Places,
-    xy: FloatArray,
-    *,
-    core_m: float,
-    typical_m: float,
-) -> Lattice:
+def lattice_of(places: Places, xy: FloatArray, *, core_m: float, typical_m: float) -> Lattice:
     """The lattice of a map with places at `xy` (n, 2) [m]: steps that lead from many places to
     another place, a few corridors away.
 
@@ -135,8 +127,7 @@ def _gaussians(shift: FloatArray, centre: FloatArray, cov: FloatArray) -> FloatA
     outlier_share, outlier_variance = LIKELIHOOD.outlier_share, LIKELIHOOD.outlier_width**2
     core = (1.0 - outlier_share) * np.exp(-0.5 * d2)
     tail = outlier_share / outlier_variance * np.exp(-0.5 / outlier_variance * d2)
-    density: FloatArray = (core + tail) / (2 * np.pi * np.sqrt(det))
-    return density
+    return np.asarray((core + tail) / (2 * np.pi * np.sqrt(det)))
 
 
 def squared_mahalanobis(

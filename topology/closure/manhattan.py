@@ -181,8 +181,7 @@ def grid_corridors(
 def with_spread(
     grid: GridHeadings, passes: Passes, branch_rad: float, spread_rad: float
 ) -> GridHeadings:
-    """The headings with other noise [rad]: of reading a branch, and of corridors' deviations from
-    the grid."""
+    """The headings with other noise [rad]: of branches, and of corridors about the grid."""
     sigma = np.sqrt(branch_rad**2 / passes.branches.counts[grid.row] + spread_rad**2)
     return replace(grid, sigma=sigma, spread_rad=spread_rad)
 
@@ -190,5 +189,4 @@ def with_spread(
 def from_quarter(angle: FloatArray) -> FloatArray:
     """Signed distance of angles [rad] from the nearest multiple of a quarter turn, in [-pi/4,
     pi/4)."""
-    out: FloatArray = (angle + np.pi / 4) % (np.pi / 2) - np.pi / 4
-    return out
+    return np.asarray((angle + np.pi / 4) % (np.pi / 2) - np.pi / 4)

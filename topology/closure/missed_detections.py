@@ -69,33 +69,29 @@ def correct_detections(
     place: (p,) of each pass, numbered from 0 by first visit; resolution_m: of the detector [m].
     """
     merged = blurred(reckoning, place, estimate, resolution_m)
-    shows_place = merged.place[place] == place
+    fair = merged.place[place] == place
     kept, number = _renumbered(merged.place == np.arange(len(estimate.xy)))
     place, xy = number[merged.place[place]], merged.xy[kept]
     # One drive-by is one visit.
-    is_repeat = np.zeros(len(place), bool)
-    is_repeat[1:] = (
-        ~shows_place[1:] & (place[1:] == place[:-1]) & one_drive_by(reckoning, resolution_m)
-    )
-    place, turn = np.where(is_repeat, NOWHERE, place), estimate.pose[:, 2]
+    again = np.zeros(len(place), bool)
+    again[1:] = ~fair[1:] & (place[1:] == place[:-1]) & one_drive_by(reckoning, resolution_m)
+    place, turn = np.where(again, NOWHERE, place), estimate.pose[:, 2]
 
     def driven(place: IntArray, xy: FloatArray) -> tuple[Places, Visits, Visits]:
         """The places, and the detected and the undetected visits to them."""
-        places = tabulate(reckoning, np.where(shows_place, place, NOWHERE), turn)
-        seen = visits_of(reckoning, place, shows_place, estimate, xy)
+        places = tabulate(reckoning, np.where(fair, place, NOWHERE), turn)
+        seen = visits_of(reckoning, place, fair, estimate, xy)
         return places, seen, driven_by(odometry, seen, xy, places)
 
     places, _, undetected = driven(place, xy)
     unseen = np.bincount(undetected.vertex, minlength=len(places))
     is_phantom = phantoms(reckoning, places, unseen)
     # A map needs a place: if all are phantoms, they stay.
-    kept_rows, number = _renumbered(~is_phantom | is_phantom.all())
-    place, xy = np.where(place >= 0, number[place], NOWHERE), xy[kept_rows]
+    real, number = _renumbered(~is_phantom | is_phantom.all())
+    place, xy = np.where(place >= 0, number[place], NOWHERE), xy[real]
     visits = joined(driven(place, xy)[1:])
     visits = take(visits, np.argsort(visits.time_ns, kind="stable"))
-    return CorrectedPlaces(
-        place, shows_place, turn, xy, visits, kept[kept_rows], merged.identifications
-    )
+    return CorrectedPlaces(place, fair, turn, xy, visits, kept[real], merged.identifications)
 
 
 def _renumbered(keep: BoolArray) -> tuple[IntArray, IntArray]:
@@ -104,14 +100,8 @@ def _renumbered(keep: BoolArray) -> tuple[IntArray, IntArray]:
     return np.flatnonzero(keep), number
 
 
-def driven_by(
-    odometry: Odometry,
-    visits: Visits,
-    xy: FloatArray,
-    places: Places,
-) -> Visits:
-    """Undetected visits of places at `xy` (n, 2) [m], on the track between the detected `visits`,
-    all of places.
+def driven_by(odometry: Odometry, visits: Visits, xy: FloatArray, places: Places) -> Visits:
+    """Undetected visits of places at `xy` (n, 2) [m], between the detected `visits`.
 
     The whole track is sampled and each sample assigned to its nearest place within `junction_m`
     (`DRAWING`). Consecutive such samples are one event, at the sample nearest to a place: if the
@@ -122,22 +112,17 @@ def driven_by(
     track = draw_track(odometry, visits, xy, first)
     nearest = cKDTree(xy).query(track.xy, distance_upper_bound=DRAWING.junction_m)
     distance, near = np.asarray(nearest[0], np.float64), np.asarray(nearest[1], np.int64)
-    on_place = np.flatnonzero(np.isfinite(distance))
-    begins_event = np.ones(len(on_place), bool)
-    begins_event[1:] = (np.diff(on_place) != 1) | (np.diff(track.owner[on_place]) != 0)
-    event_starts = np.flatnonzero(begins_event)
-    event_samples = on_place[
-        np.lexsort((distance[on_place], np.cumsum(begins_event)))[event_starts]
-    ]
-    begin, end = (
-        on_place[event_starts],
-        on_place[np.append(event_starts[1:], len(on_place))[: len(event_starts)] - 1],
-    )
+    hits = np.flatnonzero(np.isfinite(distance))
+    begins_event = np.ones(len(hits), bool)
+    begins_event[1:] = (np.diff(hits) != 1) | (np.diff(track.owner[hits]) != 0)
+    starts = np.flatnonzero(begins_event)
+    events = hits[np.lexsort((distance[hits], np.cumsum(begins_event)))[starts]]
+    begin, end = hits[starts], hits[np.append(starts[1:], len(hits))[: len(starts)] - 1]
     # The visits at the two ends are detected ones.
     at_start = begin == track.offsets[track.owner[begin]]
     at_end = end == track.offsets[track.owner[end] + 1] - 1
-    event_samples = event_samples[~(at_start | at_end)]
-    samples = event_samples[_along_branches(track, places, near, event_samples)]
+    events = events[~(at_start | at_end)]
+    samples = events[_along_branches(track, places, near, events)]
     place, turn = near[samples], track.turn[samples]
     seconds, _ = seconds_at(odometry, track.way[samples])
     return Visits(
@@ -162,15 +147,10 @@ def _along_branches(track: DrawnTrack, places: Places, near: IntArray, row: IntA
         step = track.xy[beyond] - track.xy[row]
         turn_rad = np.abs(wrap(heading - np.arctan2(step[:, 1], step[:, 0])[:, None]))
         fits += np.where(np.isfinite(turn_rad), turn_rad, np.inf).min(axis=1) < DRIVEN_RAD
-    any_fits: BoolArray = fits >= 1
-    return any_fits
+    return np.asarray(fits >= 1)
 
 
-def phantoms(
-    reckoning: DeadReckoning,
-    places: Places,
-    unseen: IntArray,
-) -> BoolArray:
+def phantoms(reckoning: DeadReckoning, places: Places, unseen: IntArray) -> BoolArray:
     """(n,) whether a place is more likely spurious than missed by all undetected passes.
 
     unseen: (n,) number of passes by each place without a detection.
@@ -185,22 +165,17 @@ def phantoms(
         opposite = np.abs(np.abs(wrap(first_two[:, 1] - first_two[:, 0])) - np.pi)
         straight = (count == 2) & (opposite < ONE_WAY_RAD)
         odds = odds + DRIVEN_BY.straight_gain * straight
-    is_phantom: BoolArray = (odds > DRIVEN_BY.least_odds) & (unseen > 0)
-    return is_phantom
+    return np.asarray((odds > DRIVEN_BY.least_odds) & (unseen > 0))
 
 
 def visits_of(
-    reckoning: DeadReckoning,
-    place: IntArray,
-    shows_place: BoolArray,
-    estimate: Estimate,
-    xy: FloatArray,
+    reckoning: DeadReckoning, place: IntArray, fair: BoolArray, estimate: Estimate, xy: FloatArray
 ) -> Visits:
-    """The visits of detected places. A pass that does not show its place correctly (shows_place:
-    (p,)) is moved to the place's position."""
+    """The visits of detected places. A pass that does not show its place correctly (fair: (p,)) is
+    moved to the place's position."""
     row = np.flatnonzero(place >= 0)
     pose, centre = estimate.pose[row].copy(), reckoning.passes.centre[row].copy()
-    shift = np.where(shows_place[row, None], 0.0, xy[place[row]] - pose[:, :2])
+    shift = np.where(fair[row, None], 0.0, xy[place[row]] - pose[:, :2])
     pose[:, :2] += shift
     centre += turned(shift, -pose[:, 2])
     return Visits(

@@ -8,14 +8,11 @@ Use of What You Don't See: Negative Information in Markov Localization (IROS 200
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from ..arrays import FloatArray, IntArray
-from ..columns import take
 from .places import NOWHERE, Places
 
 
@@ -32,14 +29,10 @@ class DrivenGround:
     along: FloatArray
     length: FloatArray
 
-    def __getitem__(self, rows: NDArray[Any]) -> DrivenGround:
-        return take(self, rows)
-
     def share(
         self, shift: FloatArray, cov: FloatArray, core_m: float, reach_m: float
     ) -> FloatArray:
-        """(k,) probability that one place lies on ground driven from the other, the larger one of
-        both directions.
+        """(k,) probability that one place lies on ground driven from the other, the larger one.
 
         shift: (k, 2) [m] with covariance cov (k, 2, 2) [m²]; core_m: part of a corridor at either
         end without other junctions [m], which is left out; reach_m: distance from the track up to

@@ -56,14 +56,10 @@ def tabulate(reckoning: DeadReckoning, place: IntArray, turn: FloatArray) -> Pla
     """
     passes, branches = reckoning.passes, reckoning.passes.branches
     # Branches that the track shows and the detector did not report.
-    unreported_entry = np.flatnonzero((passes.entry == NO_BRANCH) & np.isfinite(reckoning.arriving))
-    unreported_exit = np.flatnonzero((passes.exit == NO_BRANCH) & np.isfinite(reckoning.leaving))
-    owner = np.concatenate([branches.owner, unreported_entry, unreported_exit])
-    headings = (
-        branches.values,
-        reckoning.arriving[unreported_entry],
-        reckoning.leaving[unreported_exit],
-    )
+    no_entry = np.flatnonzero((passes.entry == NO_BRANCH) & np.isfinite(reckoning.arriving))
+    no_exit = np.flatnonzero((passes.exit == NO_BRANCH) & np.isfinite(reckoning.leaving))
+    owner = np.concatenate([branches.owner, no_entry, no_exit])
+    headings = branches.values, reckoning.arriving[no_entry], reckoning.leaving[no_exit]
     angle = np.concatenate(headings) + turn[owner]
     reported = np.arange(len(owner)) < len(branches.owner)
     place_of_branch = place[owner]
@@ -88,9 +84,7 @@ def tabulate(reckoning: DeadReckoning, place: IntArray, turn: FloatArray) -> Pla
     for ends, local in ((entry, passes.entry), (exit_, passes.exit)):
         known = np.flatnonzero(local != NO_BRANCH)
         ends[known] = slot[branches.offsets[known] + local[known]]
-    entry[unreported_entry], exit_[unreported_exit] = np.split(
-        slot[len(branches.owner) :], [len(unreported_entry)]
-    )
+    entry[no_entry], exit_[no_exit] = np.split(slot[len(branches.owner) :], [len(no_entry)])
     ways = _ways(reckoning, place, entry, exit_, (n, width))
     return Places(heading, share, visits, confidence, first, *ways, entry)
 

@@ -50,18 +50,18 @@ def blurred(
     place: (p,) of each pass, none negative; resolution_m: least distance of junctions that show as
     two [m]; 0 for detectors that separate all.
     """
-    joined_to = np.arange(len(estimate.xy), dtype=np.int64)
-    if resolution_m <= 0 or len(joined_to) < 2:
-        return Blurred(joined_to, estimate.xy)
+    target = np.arange(len(estimate.xy), dtype=np.int64)
+    if resolution_m <= 0 or len(target) < 2:
+        return Blurred(target, estimate.xy)
     close = cKDTree(estimate.xy).query_pairs(resolution_m, output_type="ndarray").astype(np.int64)
     apart = _reported_apart(reckoning, place, resolution_m)
     allowed = [k for k, pair in enumerate(close.tolist()) if frozenset(pair) not in apart]
     a, b = close[allowed].T
     if len(a) == 0:
-        return Blurred(joined_to, estimate.xy)
+        return Blurred(target, estimate.xy)
     # Of each pair the one seen better first, and the pairs of the best first; ties by number.
     weight_of_pass = reckoning.passes.messages * reckoning.passes.confidence
-    weight = np.asarray(np.bincount(place, weight_of_pass, len(joined_to)), np.float64)
+    weight = np.asarray(np.bincount(place, weight_of_pass, len(target)), np.float64)
     swap = weight[b] > weight[a]
     a, b = np.where(swap, b, a), np.where(swap, a, b)
     order = np.lexsort((b, a, -weight[b], -weight[a]))
@@ -69,28 +69,28 @@ def blurred(
     sigmas = _sigmas_within(reckoning, estimate, a, b, resolution_m)
     identifications = []
     for u, v, sigmas_below in zip(a.tolist(), b.tolist(), sigmas.tolist(), strict=True):
-        if sigmas_below > SURE_SIGMAS and joined_to[u] == u and joined_to[v] == v:
-            joined_to[v] = u
+        if sigmas_below > SURE_SIGMAS and target[u] == u and target[v] == v:
+            target[v] = u
             identifications.append(_identified(reckoning, place, (u, v), sigmas_below))
     # Two places that one drive-by reported may still be the two forks of one crossing.
     for u, v, sigmas_below in zip(a.tolist(), b.tolist(), sigmas.tolist(), strict=True):
-        parts = np.flatnonzero(joined_to == u).tolist()
+        parts = np.flatnonzero(target == u).tolist()
         if (
-            joined_to[u] == u
-            and joined_to[v] == v
+            target[u] == u
+            and target[v] == v
             and any({v, part} in apart for part in parts if part != u)
         ):
-            joined_to[v] = u
+            target[v] = u
             identifications.append(_identified(reckoning, place, (u, v), sigmas_below))
-    return Blurred(joined_to, _mean_positions(estimate.xy, joined_to, weight), identifications)
+    return Blurred(target, _mean_positions(estimate.xy, target, weight), identifications)
 
 
-def _mean_positions(xy: FloatArray, joined_to: IntArray, weight: FloatArray) -> FloatArray:
+def _mean_positions(xy: FloatArray, target: IntArray, weight: FloatArray) -> FloatArray:
     """(n, 2) weighted mean positions of joined places; weights `seen` (n,)."""
-    mean_xy, single = xy.copy(), np.bincount(joined_to, minlength=len(joined_to)) < 2
-    total_weight = np.bincount(joined_to, weight, len(joined_to))
+    mean_xy, single = xy.copy(), np.bincount(target, minlength=len(target)) < 2
+    total = np.bincount(target, weight, len(target))
     mean = [
-        np.bincount(joined_to, weight * column, len(joined_to)) / np.maximum(total_weight, 1e-9)
+        np.bincount(target, weight * column, len(target)) / np.maximum(total, 1e-9)
         for column in xy.T
     ]
     mean_xy[~single] = np.column_stack(mean)[~single]
@@ -129,5 +129,4 @@ def _identified(
 def one_drive_by(reckoning: DeadReckoning, resolution_m: float) -> BoolArray:
     """(p - 1,) whether a pass and the next belong to one drive-by: the leg between them is no
     longer than twice the resolution."""
-    is_short: BoolArray = reckoning.leg < 2 * resolution_m
-    return is_short
+    return np.asarray(reckoning.leg < 2 * resolution_m)

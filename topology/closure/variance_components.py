@@ -68,8 +68,7 @@ PRIOR = ComponentSettings()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fitted:
-    """The result of `fitted_noise`: reckoning with its most likely noise; estimate with that noise;
-    grid with its estimated spread."""
+    """reckoning and estimate with the most likely noise; grid with its estimated spread."""
 
     reckoning: DeadReckoning
     estimate: Estimate
@@ -88,8 +87,7 @@ def fitted_noise(
 
     reckoning: with the noise estimated before closure, which is the prior; odometry: that of the
     reckoning; estimate: initial one of the places; grid: headings that constrain it. Each round
-    solves one estimate, and takes the trace of every component's share in the posterior from
-    samples.
+    solves one estimate, and samples the trace of each component.
     """
     unfitted = reckoning
     prior = np.array([getattr(reckoning.noise, name) for name in COMPONENTS]) ** 2
@@ -120,9 +118,7 @@ def fitted_noise(
 
 
 def with_shown_spread(
-    corridors: GridCorridors,
-    estimate: Estimate,
-    grid: GridHeadings,
+    corridors: GridCorridors, estimate: Estimate, grid: GridHeadings
 ) -> GridCorridors:
     """The corridors with their deviations from the grid by the estimate, for each axis of the grid.
 
@@ -201,8 +197,7 @@ def _leg_covariances(reckoning: DeadReckoning, units: list[DeadReckoning]) -> Fl
 
 def _smoothed(odometry: Odometry, passes: Passes) -> FloatArray:
     """(p, 2) variance that the heading of each pass lacks, because it is a mean over messages,
-    against the walks at its middle: for walks of 1 rad per √m driven and of 1 rad per √rad
-    turned."""
+    against the walks at its middle: of 1 rad per √m driven and per √rad turned."""
     messages = np.maximum(passes.messages, 1)
     owner, number = numbered(messages)
     fraction = number / np.maximum(messages - 1, 1)[owner]
@@ -273,8 +268,7 @@ class _Edges:
         redundancy = np.mean((self.residual**2).sum(axis=1), axis=1) / rank
         chi2 = 2 * gammaincinv(rank / 2, (np.arange(64) + 0.5) / 64)
         weighted = chi2 / (1 + redundancy[:, None] * chi2 / self.kernel[:, None] ** 2)
-        mean_weight: FloatArray = weighted.mean(axis=1) / chi2.mean()
-        return mean_weight
+        return np.asarray(weighted.mean(axis=1) / chi2.mean())
 
 
 def _energy_and_freedom(

@@ -15,14 +15,7 @@ import numpy as np
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..columns import joined, take
 from ..matching.likelihood import LIKELIHOOD
-from ..matching.views import (
-    TURN_RAD,
-    Registered,
-    ViewIndex,
-    ViewNull,
-    coarse_fit,
-    register,
-)
+from ..matching.views import TURN_RAD, Registered, ViewIndex, ViewNull, coarse_fit, register
 from ..ragged import numbered
 from ..se2 import between, compose, inverse, turned_axes, wrap
 from .candidates import pairs_within
@@ -67,8 +60,7 @@ class ViewLoopSettings:
     beside_m: float = 30.0
     """Way along which loops support each other."""
     known_m: float = 0.15
-    """Pairs whose relative position is known to this (1 sigma) are not registered: registration
-    would add little."""
+    """Pairs whose relative position is known to this (1 sigma) are not registered."""
     sigma_m: float = 0.07
     sigma_rad: float = 0.01
     """1 sigma of a registration in addition to the covariance by its walls. Median errors against
@@ -113,14 +105,11 @@ _NONE_TESTED = _Tested(_NO_ROWS, _NO_ROWS, np.zeros((0, 3)), np.zeros(0), np.zer
 
 
 def view_loops(
-    reckoning: DeadReckoning,
-    views: ViewIndex,
-    arc_m: FloatArray,
+    reckoning: DeadReckoning, views: ViewIndex, arc_m: FloatArray
 ) -> tuple[DeadReckoning, Estimate]:
     """The reckoning with its loops, and the estimate of its poses with these.
 
-    reckoning: of the views' places, whose passes have no branches; arc_m: (n,) distance driven up
-    to each [m].
+    reckoning: of the views' places, without branches; arc_m: (n,) distance driven [m].
     """
     return _Search(reckoning, views, arc_m).run()
 
@@ -128,12 +117,7 @@ def view_loops(
 class _Search:
     """The state of a search for loops."""
 
-    def __init__(
-        self,
-        reckoning: DeadReckoning,
-        views: ViewIndex,
-        arc_m: FloatArray,
-    ) -> None:
+    def __init__(self, reckoning: DeadReckoning, views: ViewIndex, arc_m: FloatArray) -> None:
         self._views, self._arc_m = views, arc_m
         self._reckoning = reckoning
         self._place = np.arange(len(reckoning), dtype=np.int64)
@@ -175,8 +159,7 @@ class _Search:
         return shift, self._estimate.relative_covariance(i, j)
 
     def _register_null_pairs(self) -> None:
-        """Register pairs of places that position keeps apart, sampled from the whole run: their z
-        is the null model."""
+        """Register a sample of pairs that position keeps apart: their z is the null model."""
         count = len(self._reckoning)
         sample = np.random.default_rng(0).integers(0, count, (20 * VIEW_LOOPS.nulls, 2))
         i, j = np.unique(np.sort(sample, axis=1), axis=0).T
@@ -295,8 +278,7 @@ class _Search:
 
     def _certain(self) -> IntArray:
         """Rows of the tested pairs that are certainly of one place and lead all their rivals. The
-        evidence is that of walls, against other places and copies, of the pairs along the way, and
-        of position."""
+        evidence is that of walls, pairs along the way, and position."""
         tested = self._tested
         null = ViewNull.of(self._null_z, tested.z[self._accepted])
         odds = null.odds(tested.z)
@@ -310,8 +292,7 @@ class _Search:
         expected = self._relative(tested.first[open_pairs], tested.second[open_pairs])
         total[open_pairs] += self._position_odds(tested.transform[open_pairs], *expected)
         sufficient = open_pairs[total[open_pairs] >= needed_odds(len(self._reckoning))]
-        leading: IntArray = sufficient[self._leads(sufficient, total)]
-        return leading
+        return np.asarray(sufficient[self._leads(sufficient, total)])
 
     def _position_odds(
         self, transform: FloatArray, shift: FloatArray, cov: FloatArray
@@ -356,8 +337,7 @@ class _Search:
         return np.asarray(np.bincount(keys // 64, mean, len(rows)), np.float64)
 
     def _leads(self, likely: IntArray, total: FloatArray) -> BoolArray:
-        """(k,) whether each pair leads all pairs of its places that contradict it. total: odds of
-        all tested pairs [nats]."""
+        """(k,) whether each pair leads all that contradict it. total: odds of all tested pairs."""
         tested, arc_m = self._tested, self._arc_m
         pose, rivals = self._estimate.pose, np.flatnonzero(total > 0)
         leads = np.ones(len(likely), bool)

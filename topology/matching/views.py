@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from scipy import fft, ndimage
 
 from ..arrays import ComplexArray, FloatArray, IntArray
+from ..columns import take
 from ..views import CELL_M, FREE, REACH_M, SIDE, WALL, Views
 from .likelihood import BIT
 
@@ -39,8 +40,8 @@ with cells of 0.1 and 0.2 m."""
 STARTS = 2
 """Coarse shifts that are refined, the best."""
 
-_AGREES, _CONTRADICTS = 1, 2
-"""Kinds of fine cells; 0 is no evidence."""
+SILENT, AGREES, CONTRADICTS = 0, 1, 2
+"""Evidence of a wall cell of one view by another view, and of the fine cells of that view."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,12 +58,6 @@ class Registered:
     contradict: IntArray
     information: FloatArray
 
-    def take(self, rows: IntArray | slice) -> Registered:
-        """The given pairs."""
-        return Registered(
-            self.transform[rows], self.agree[rows], self.contradict[rows], self.information[rows]
-        )
-
     @property
     def z(self) -> FloatArray:
         """(k,) log ratio of agreement to contradiction."""
@@ -70,8 +65,7 @@ class Registered:
 
     @property
     def detail(self) -> FloatArray:
-        """(k,) information of the shift in its least certain direction [1/m²]: none along a bare
-        corridor."""
+        """(k,) information of the shift in its least certain direction [1/m²]."""
         return np.asarray(np.linalg.eigvalsh(self.information[:, :2, :2])[:, 0])
 
 
@@ -122,8 +116,8 @@ class ViewIndex:
             distance_m *= FINE_M
             kind[k] = np.where(
                 distance_m <= AGREE_M + 1e-9,
-                _AGREES,
-                np.where(is_free & (distance_m > CONTRADICT_M), _CONTRADICTS, 0),
+                AGREES,
+                np.where(is_free & (distance_m > CONTRADICT_M), CONTRADICTS, SILENT),
             )
             fit = 1.6 * np.exp(-0.5 * (distance_m / 0.26) ** 2) - 0.6
             unseen_fit = np.where(distance_m > 0.5, 0, np.maximum(fit, 0))
@@ -167,8 +161,7 @@ _CELL_CENTRES = _cell_centres()
 
 def _normals(wall: NDArray[np.bool_]) -> ComplexArray:
     """(n, s, s) squared direction across the walls of each view at each cell, with the straightness
-    of the wall as its absolute value, 0 to 1: the structure tensor of the walls (Förstner, Gülch
-    1987)."""
+    of the wall as its absolute value, 0 to 1: structure tensor (Förstner, Gülch 1987)."""
     soft = ndimage.gaussian_filter(wall.astype(np.float64), (0.0, 1.0, 1.0))
     dy, dx = np.gradient(soft, axis=(1, 2))
     double = (dx + 1j * dy) ** 2
@@ -197,13 +190,10 @@ def register(
     starts = pairs.repeated(STARTS)
     start_shift, start_turn = _refine(starts, shift.reshape(-1), turn.reshape(-1))
     registered = _count_agreement(starts, start_shift, start_turn)
-    score = (registered.z * np.sqrt(registered.agree + registered.contradict + 1.0)).reshape(
-        -1, STARTS
-    )
-    best = np.arange(len(first)) * STARTS + np.argmax(
-        registered.z.reshape(-1, STARTS) + 1e-6 * score, 1
-    )
-    return registered.take(best)
+    z = registered.z.reshape(-1, STARTS)
+    cells = (registered.agree + registered.contradict).reshape(-1, STARTS)
+    best = np.argmax(z + 1e-6 * (z * np.sqrt(cells + 1.0)), axis=1)
+    return take(registered, np.arange(len(first)) * STARTS + best)
 
 
 def coarse_fit(
@@ -292,8 +282,7 @@ SIGMAS_M = (0.4, 0.4, 0.3, 0.3, 0.2, 0.2, 0.2, 0.13, 0.13, 0.13)
 """1 sigma of the weights in each iteration of the refinement: from a coarse cell to the noise. With
 half as many iterations errors are 1.5 times as large, with 15 a tenth less."""
 LEAST_POINTS = 120
-"""Points of a view that are used before the last two iterations: at least so many, if it has
-them."""
+"""About so many points of a view are used before the last two iterations."""
 _AT_ONCE = 256
 """Pairs in a batch that fits the cache."""
 
@@ -301,8 +290,7 @@ _AT_ONCE = 256
 def _refine(
     pairs: _Pairs, shift: ComplexArray, turn: FloatArray
 ) -> tuple[ComplexArray, FloatArray]:
-    """Shifts and turns after iterated closest points (ICP) in both directions, with Gaussian
-    weights of the distance."""
+    """Shifts and turns after iterated closest points (ICP), both ways, with Gaussian weights."""
     a, b, *_ = pairs
     for batch, i, j in pairs.batches():
         s = shift[batch, None].astype(np.complex64)
@@ -370,9 +358,9 @@ def _count_agreement(pairs: _Pairs, shift: ComplexArray, turn: FloatArray) -> Re
         wall_b_in_a, wall_a_in_b = r * b.points[j] + s, np.conj(r) * (a.points[i] - s)
         kind_of_b = _kinds(a.kind, i, wall_b_in_a, b.is_point[j])
         kind_of_a = _kinds(b.kind, j, wall_a_in_b, a.is_point[i])
-        for kind, counts in ((_AGREES, agree), (_CONTRADICTS, contradict)):
+        for kind, counts in ((AGREES, agree), (CONTRADICTS, contradict)):
             counts[batch] = (kind_of_b == kind).sum(axis=1) + (kind_of_a == kind).sum(axis=1)
-        normal_in_a, agrees = r * r * b.normal[j], kind_of_b == _AGREES
+        normal_in_a, agrees = r * r * b.normal[j], kind_of_b == AGREES
         information[batch] = _information(normal_in_a, wall_b_in_a - s, agrees)
     transform = np.stack([shift.real, shift.imag, turn], axis=1)
     return Registered(transform, agree, contradict, information)
@@ -384,11 +372,7 @@ def _kinds(
     """Kinds of wall cells at points z of their views; 0 for padding and outside of the views."""
     cell, inside = _cells(z)
     looked_up = np.take(kind.reshape(-1), cell + view[:, None] * kind[0].size)
-    return np.where(inside & is_point, looked_up, np.uint8(0))
-
-
-SILENT, AGREES, CONTRADICTS = 0, _AGREES, _CONTRADICTS
-"""Kinds of wall cells of one view by another view."""
+    return np.where(inside & is_point, looked_up, np.uint8(SILENT))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -405,8 +389,7 @@ class Compared:
 
 
 def compare(a: ViewIndex, b: ViewIndex, rows: tuple[int, int], transform: FloatArray) -> Compared:
-    """The wall cells of one view of a and one of b (`rows`), laid over each other by a transform
-    (3,)."""
+    """The wall cells of views `rows` of a and b, laid over each other by a transform (3,)."""
     i, j = rows
     shift, rotation = complex(transform[0], transform[1]), np.exp(1j * transform[2])
     wall_a, wall_b = a.points[i, a.is_point[i]], rotation * b.points[j, b.is_point[j]] + shift

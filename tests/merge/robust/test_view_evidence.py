@@ -1,5 +1,6 @@
 """What views say of a placement."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +12,8 @@ from topobatch.merge.robust.view_evidence import (
     DETAILED_Z,
     PART_BITS,
     UNSEEN_BITS,
+    Overlap,
+    ViewEvidence,
     overlaps,
     refine,
     repeats,
@@ -18,12 +21,18 @@ from topobatch.merge.robust.view_evidence import (
     view_evidence,
     worth_judging,
 )
-from topobatch.merge.robust.view_search import pictured, placements
+from topobatch.merge.robust.view_search import Picture, pictured, placements
 from topobatch.topology.se2 import compose, inverse, wrap
 
 from .rooms import line, views_of, walls_of
 
 T_B_WORLD = np.array([5.0, -3.0, 2.0])
+
+
+def evidence_of(
+    a: Picture, b: Picture, overlap: Overlap, others: Sequence[Overlap] = ()
+) -> ViewEvidence:
+    return view_evidence(overlap, others, (repeats(a.views), repeats(b.views)), revisits(a.views))
 
 
 def test_the_place_itself_is_told_from_other_placements() -> None:
@@ -37,9 +46,7 @@ def test_the_place_itself_is_told_from_other_placements() -> None:
     assert abs(wrap(off[2])) < 0.03
     overlap = overlaps(a, b, [compose(T, b.pose)], 24)[0]
     elsewhere = [other for _, other in others]
-    evidence = view_evidence(
-        overlap, elsewhere, (repeats(a.views), repeats(b.views)), revisits(a.views)
-    )
+    evidence = evidence_of(a, b, overlap, elsewhere)
     assert evidence.agreeing >= 3
     assert evidence.total > 10
     assert evidence.copies > 2
@@ -64,7 +71,7 @@ def test_where_the_maps_repeat_themselves_the_place_may_be_a_copy() -> None:
     b = pictured(views_of(room, line((8, 21), (33, 21)), T_B_WORLD))
     (T, _), *_ = refine(a, b, placements(a, b))
     overlap = overlaps(a, b, [compose(T, b.pose)], 24)[0]
-    evidence = view_evidence(overlap, [], (repeats(a.views), repeats(b.views)), revisits(a.views))
+    evidence = evidence_of(a, b, overlap)
     assert repeats(a.views).size > 5
     assert evidence.total > 8
     assert evidence.repeated > 0.5
@@ -81,10 +88,7 @@ def test_parts_that_move_apart_speak_against_a_placement() -> None:
     )
     assert torn.consistent_parts < 0 < overlap.consistent_parts
     elsewhere = [some for _, some in refine(a, b, placements(a, b))[1:]]
-    whole, less = (
-        view_evidence(some, elsewhere, (repeats(a.views), repeats(b.views)), revisits(a.views))
-        for some in (overlap, torn)
-    )
+    whole, less = (evidence_of(a, b, some, elsewhere) for some in (overlap, torn))
     assert whole.total > less.total + 2 * (len(whole.bits) - 1)
     assert whole.copies == less.copies
 
@@ -110,9 +114,7 @@ def test_walls_that_agree_bound_what_an_unseen_junction_tells() -> None:
     b = pictured(views_of(walls, line((8, 21), (33, 21)), T_B_WORLD))
     overlap = overlaps(a, b, [compose(inverse(T_B_WORLD), b.pose)], 24)[0]
     elsewhere = [some for _, some in refine(a, b, placements(a, b))[1:]]
-    evidence = view_evidence(
-        overlap, elsewhere, (repeats(a.views), repeats(b.views)), revisits(a.views)
-    )
+    evidence = evidence_of(a, b, overlap, elsewhere)
     beside, far = np.full((2, len(evidence)), 50.0)
     beside[0] = 1.0
     assert np.allclose(evidence.penalty_bound(np.array([beside, far])), [UNSEEN_BITS, np.inf])
@@ -134,9 +136,7 @@ def test_walls_tell_whether_one_placement_fits_all_parts() -> None:
     a, b = (views_of(walls, line((5, 20), (35, 20)), T) for T in (np.zeros(3), T_B_WORLD))
     one, two = pictured(a), pictured(b)
     overlap = overlaps(one, two, [compose(inverse(T_B_WORLD), b.pose)], 24)[0]
-    evidence = view_evidence(
-        overlap, [], (repeats(one.views), repeats(two.views)), revisits(one.views)
-    )
+    evidence = evidence_of(one, two, overlap)
     assert evidence.residual_m(a, b) < 0.1
     smaller = replace(b, pose=b.pose * [0.95, 0.95, 1.0])  # 1.5 m of 30 m
     assert evidence.residual_m(a, smaller) > 0.3
