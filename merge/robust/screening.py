@@ -5,8 +5,8 @@ ends. A correct alignment has many consistent ones. The index finds the links of
 others at once, a hundred times faster than matching. Its recall on pairs that would be merged is
 measured by `benchmarks/fleet.py --recall`.
 
-Maps with views may agree in their walls alone: such a map is matched with those whose views look
-most alike, by a descriptor of each view that does not depend on its rotation.
+Maps with views may agree in their walls alone. Such a map is also matched with the maps of the most
+similar views, by rotation-invariant descriptors.
 """
 
 from __future__ import annotations
@@ -49,14 +49,14 @@ def pairs_to_match(maps: Sequence[Prepared], settings: RobustSettings) -> IntArr
 
 
 PARTNERS = 100
-"""Maps with views are matched with so many whose views look most alike, from either side. Of 171
-pairs of one place in a batch of 109 maps all rank among the first 26 of one of the two, 95 % among
-the first 16."""
+"""Maps that each map with views is matched with, those with the most similar views. Of 171 pairs
+of one place in a batch of 109 maps all rank among the first 26 of one of the two, 95 % among the
+first 16."""
 RINGS, SECTORS, HARMONICS = 10, 48, (8, 4)
-"""Bins of a descriptor's polar histograms, and harmonics of walls and free space that it keeps.
-Twice as many rings or harmonics rank no better."""
+"""Bins of the polar histograms, and harmonics of walls and of free space in a descriptor. Twice
+as many rings or harmonics rank no better."""
 MOST_ALIKE = 12
-"""Views of a map whose similarity to another map counts: the two share part of their places."""
+"""Views that count in the similarity of two maps, the most similar: maps overlap in part."""
 
 
 def similar_pairs(views: Sequence[Views]) -> IntArray:
@@ -71,43 +71,43 @@ def similar_pairs(views: Sequence[Views]) -> IntArray:
 
 
 def similarity(views: Sequence[Views]) -> FloatArray:
-    """(n, n) how much the views of two maps look alike, both ways; -inf of a map with itself.
+    """(n, n) similarity of the views of two maps, symmetric; -inf of a map with itself.
 
-    The similarity of a view to a map is that to the most similar of its views, in standard
-    deviations over all maps. O(views²), 2 ms of a core for each map and 1,000 others.
+    A view's similarity to a map is that to its most similar view, in standard deviations over all
+    maps. O(views²), 2 ms of a core for each map and 1,000 others.
     """
-    every = np.concatenate([descriptors(v) for v in views])
-    every = (every - every.mean(axis=0)) / (every.std(axis=0) + 1e-6)
-    every /= np.linalg.norm(every, axis=1, keepdims=True)
+    described = np.concatenate([descriptors(v) for v in views])
+    described = (described - described.mean(axis=0)) / (described.std(axis=0) + 1e-6)
+    described /= np.linalg.norm(described, axis=1, keepdims=True)
     starts = np.cumsum([0, *map(len, views)])
     score = np.zeros((len(views), len(views)))
     for k, (start, stop) in enumerate(pairwise(starts)):
-        alike = np.maximum.reduceat(every[start:stop] @ every.T, starts[:-1], axis=1)
-        others = np.delete(alike, k, axis=1)
-        alike = (alike - others.mean(axis=1)[:, None]) / (others.std(axis=1)[:, None] + 1e-6)
-        score[k] = np.sort(alike, axis=0)[-MOST_ALIKE:].sum(axis=0)
+        similar = np.maximum.reduceat(described[start:stop] @ described.T, starts[:-1], axis=1)
+        others = np.delete(similar, k, axis=1)
+        similar = (similar - others.mean(axis=1)[:, None]) / (others.std(axis=1)[:, None] + 1e-6)
+        score[k] = np.sort(similar, axis=0)[-MOST_ALIKE:].sum(axis=0)
     score += score.T
     np.fill_diagonal(score, -np.inf)
     return score
 
 
 def descriptors(views: Views) -> NDArray[np.float32]:
-    """(n, d) descriptors of views that do not depend on their rotation: magnitudes of the Fourier
-    transforms of walls and free space on rings around the place."""
-    along = (np.arange(SIDE) + 0.5) * CELL_M - REACH_M
-    ring = np.floor(np.hypot(along[:, None], along) / REACH_M * RINGS)
-    sector = np.floor((np.arctan2(along[:, None], along) / (2 * np.pi) % 1) * SECTORS)
+    """(n, d) rotation-invariant descriptors of views: magnitudes of the Fourier transforms of
+    walls and free space on rings around the place."""
+    axis = (np.arange(SIDE) + 0.5) * CELL_M - REACH_M
+    ring = np.floor(np.hypot(axis[:, None], axis) / REACH_M * RINGS)
+    sector = np.floor((np.arctan2(axis[:, None], axis) / (2 * np.pi) % 1) * SECTORS)
     cell, bin_of = np.flatnonzero(DISC), (ring * SECTORS + sector)[DISC].astype(np.int64)
     shape = (SIDE * SIDE, RINGS * SECTORS)
     members = csr_array((np.ones(len(cell), np.float32), (cell, bin_of)), shape)
     scale = np.sqrt(np.bincount(bin_of, minlength=shape[1]).clip(1))
-    out = []
+    parts = []
     for state, harmonics in zip((WALL, FREE), HARMONICS, strict=True):
         marked = (views.cells.reshape(len(views), -1) == state).astype(np.float32)
         polar = (marked @ members / scale).reshape(-1, RINGS, SECTORS)
         waves = np.abs(np.fft.rfft(polar, axis=2)[:, :, :harmonics])
-        out.append(np.sqrt(waves).reshape(len(views), -1))
-    return np.concatenate(out, axis=1).astype(np.float32)
+        parts.append(np.sqrt(waves).reshape(len(views), -1))
+    return np.concatenate(parts, axis=1).astype(np.float32)
 
 
 def likely_pairs(maps: Sequence[Prepared], least_bits: float) -> IntArray:
