@@ -195,8 +195,8 @@ REPLACED = {
     "joint compatibility": (incremental, "_together", lambda *args: ([], {})),
     "straight corridors": (incremental, "_straight", _none),
     "straight: shown spread": (incremental, "with_shown_spread", lambda c, *args: c),
-    "rivals": (incremental._Likely, "against", lambda *args: set()),
-    "rivals: of neighbours": (incremental._Likely, "_supporting", lambda *args: []),
+    "rivals": (incremental._LikelyCandidates, "against", lambda *args: set()),
+    "rivals: of neighbours": (incremental._LikelyCandidates, "_supporting", lambda *args: []),
     "null pairs": (candidates, "_null_pairs", lambda *args: np.zeros(0)),
     "null pairs: slack": (
         candidates,
@@ -261,11 +261,11 @@ def _search_without(name, replacement):
 
 
 VIEWS = {
-    "views: copies": _search_without("_copied", lambda search, null: None),
+    "views: copies": _search_without("_copy_z", lambda search, null: None),
     "views: support": _search_without(
-        "_support", lambda search, t, asked, own: np.zeros(len(asked))
+        "_support", lambda search, tested, rows, odds: np.zeros(len(rows))
     ),
-    "views: position": _search_without("_position", lambda search, T, *args: np.zeros(len(T))),
+    "views: position": _search_without("_position_odds", lambda search, T, *args: np.zeros(len(T))),
     "views: leads": _search_without(
         "_leads", lambda search, likely, total: np.ones(len(likely), bool)
     ),

@@ -29,7 +29,7 @@ from topobatch.merge.robust import (
     thresholds,
     verdict,
 )
-from topobatch.merge.robust.alignment import best_of_all
+from topobatch.merge.robust.alignment import Hypotheses, evaluate_all
 from topobatch.merge.robust.links import Seed
 from topobatch.merge.robust.settings import MATCH
 from topobatch.simulation.worlds import make_world
@@ -120,11 +120,11 @@ def placements(kind, worlds, first):
         home = Seed(i, j, float(theta), complex(x, y), 0.0)
         found = [*match(one, two, DEFAULT_ROBUST)]
         tested = round(2.0 ** found[0].tested_bits) if found else 1
-        found += next(best_of_all([(one, two, [home], tested)], DEFAULT_ROBUST))
+        found += next(evaluate_all([Hypotheses(one, two, [home], tested)], DEFAULT_ROBUST))
         copies = repetition.default_copies(DEFAULT_ROBUST)
         told = {True: [(-np.inf, -np.inf)], False: [(-np.inf, -np.inf)]}
         cases = [(one, two, c) for c in found]
-        for c, same in zip(found, repetition.sameness_of(cases, copies), strict=True):
+        for c, same in zip(found, repetition.sameness(cases, copies), strict=True):
             right = bool(np.mean(true_a[c.a] == true_b[c.b]) >= 0.5)
             told[right].append((c.counted_bits, same.bits))
         right, wrong = (np.max(told[k], axis=0) for k in (True, False))
@@ -145,9 +145,9 @@ def leave_out(rule):
     """Take a rule out of the matcher."""
     if rule == "elsewhere":
         none = (np.zeros(0, np.int64),) * 3
-        _replace(conflicts, "_elsewhere", lambda grown, asked, extra_b, extra_a: none)
+        _replace(conflicts, "_elsewhere", lambda grown, searched, unseen_b, unseen_a: none)
     elif rule == "small copies":
-        _replace(verdict.Threshold, "may_be_copy", lambda self, best: 0.0)
+        _replace(verdict.Threshold, "repetition_by_size", lambda self, best: 0.0)
     elif rule == "learned copies":
         for module in (thresholds,):
             _replace(module, "copy_model", lambda _, settings: repetition.default_copies(settings))

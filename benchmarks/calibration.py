@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from observed import scattered_maps
 
 from topobatch.merge.robust import DEFAULT_ROBUST, match, prepare
-from topobatch.merge.robust.repetition import default_copies, sameness_of
+from topobatch.merge.robust.repetition import default_copies, sameness
 from topobatch.simulation.worlds import make_world
 
 COPIES = default_copies(DEFAULT_ROBUST)
@@ -60,7 +60,7 @@ def bits_against_copies(a, b):
     ]
     found = [
         min(c.counted_bits, same.bits + DEFAULT_ROBUST.copy_margin_bits)
-        for (_, _, c), same in zip(cases, sameness_of(cases, COPIES), strict=True)
+        for (_, _, c), same in zip(cases, sameness(cases, COPIES), strict=True)
     ]
     return max(found, default=-np.inf)
 

@@ -30,12 +30,12 @@ from topobatch.ingest.mapping import build_map_with_errors
 from topobatch.merge.fusion.joint_graph import (
     branch_headings,
     fitted_poses,
+    optimise_poses,
     pass_counts,
     run_poses,
-    settle,
 )
 from topobatch.merge.fusion.uncertainty import Landmarks
-from topobatch.merge.fusion.vertex_partition import Pool, identify
+from topobatch.merge.fusion.vertex_partition import Pool, matched_groups
 from topobatch.merge.result import Alignment, PairVerdict, Verdict
 from topobatch.simulation.settings import DRIFTS, FAULTS
 from topobatch.simulation.truth import true_vertex_of_nodes
@@ -201,8 +201,8 @@ def judged(scenario):
     if len(tied) < len(maps) or len(maps) < 2:
         return
     pool = Pool.of(maps)
-    label = identify(pool, verdicts).labels()
-    joint = settle(pool, label, run_poses(list(pool.first), verdicts))
+    label = matched_groups(pool, verdicts).labels()
+    joint = optimise_poses(pool, label, run_poses(list(pool.first), verdicts))
     poses, names = fitted_poses(pool, joint.pose), [m.run for m in maps]
     marks = Landmarks.of(pool, label, joint.graph, joint.solution)
     marks = marks, Linear(marks.graph, marks.solution)

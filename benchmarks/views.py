@@ -1,4 +1,4 @@
-"""What views say of maps of different buildings.
+"""Evidence of views between maps of different buildings.
 
     python benchmarks/views.py WORKSPACE [WORKSPACE ...]
 
@@ -21,7 +21,14 @@ from pathlib import Path
 import numpy as np
 
 from topobatch.merge.robust.screening import similarity
-from topobatch.merge.robust.view_evidence import MOST, judged, laid, refined, repeats, revisits
+from topobatch.merge.robust.view_evidence import (
+    JUDGE_PAIRS,
+    overlaps,
+    refine,
+    repeats,
+    revisits,
+    view_evidence,
+)
 from topobatch.merge.robust.view_search import Picture, pictured, placements
 from topobatch.topology.arrays import IntArray
 from topobatch.topology.document import read_map
@@ -37,17 +44,17 @@ def pictures(workspace: Path) -> list[Picture]:
     return [pictured(m.views) for m in maps if len(m.views)]
 
 
-def most(a: Picture, b: Picture) -> float:
+def most_bits(a: Picture, b: Picture) -> float:
     """The most evidence against chance of all placements that views propose [bits]."""
-    some = [T for T, _ in refined(a, b, placements(a, b))]
-    found = laid(a, b, [compose(T, b.pose) for T in some], MOST)
-    same = np.concatenate([revisits(a.views), revisits(b.views)])
-    selves = repeats(a.views), repeats(b.views)
-    said = [
-        judged(here, [other for other in found if other is not here], selves, same)
-        for here in found
-    ]
-    return max((told.total for told in said), default=-np.inf)
+    placed = [compose(T, b.pose) for T, _ in refine(a, b, placements(a, b))]
+    found = overlaps(a, b, placed, JUDGE_PAIRS)
+    revisit_z = np.concatenate([revisits(a.views), revisits(b.views)])
+    repeats_of_both = repeats(a.views), repeats(b.views)
+    totals = [-np.inf]
+    for overlap in found:
+        others = [other for other in found if other is not overlap]
+        totals.append(view_evidence(overlap, others, repeats_of_both, revisit_z).total)
+    return max(totals)
 
 
 def across(buildings: list[list[Picture]]) -> Iterator[float]:
@@ -55,7 +62,7 @@ def across(buildings: list[list[Picture]]) -> Iterator[float]:
     for one, two in combinations(buildings, 2):
         for a in one:
             for b in two:
-                yield most(a, b)
+                yield most_bits(a, b)
 
 
 def ranks(buildings: list[list[Picture]]) -> IntArray:

@@ -14,7 +14,7 @@ from ..topology.topomap import ALL_SURE, RunNoise, TopoMap
 from ..topology.track import by_begin
 from ..topology.turning_vertices import with_turning_points, without_turning_points
 from ..topology.views import NO_VIEWS, together
-from .fusion.joint_graph import settle, usual_scale
+from .fusion.joint_graph import optimise_poses, usual_scale
 from .fusion.vertex_partition import Pool
 from .result import (
     Component,
@@ -127,7 +127,7 @@ def component_pose_graph(
     place_of = fused_of(fused.members)
     rows = zip(pool.run.tolist(), pool.vertex.tolist(), strict=True)
     label = np.array([place_of[pool.maps[r].run, v] for r, v in rows], np.int64)
-    joint = settle(pool, label, site.poses)
+    joint = optimise_poses(pool, label, site.poses)
     if joint.graph is None:
         return map_pose_graph(pool.maps[0])
     graph = joint.graph

@@ -49,6 +49,8 @@ def _taken(column: Any, rows: NDArray[Any] | slice) -> Any:
         return column.take(np.arange(len(column))[rows])
     if isinstance(column, Sequence):
         return tuple(column[k] for k in np.arange(len(column))[rows].tolist())
+    if hasattr(column, "__dataclass_fields__"):
+        return take(column, rows)
     return None if column is None else column[rows]
 
 

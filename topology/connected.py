@@ -12,10 +12,10 @@ from scipy.sparse.csgraph import connected_components
 from .arrays import IntArray
 
 
-def connected(one: NDArray[Any], other: NDArray[Any], count: int) -> IntArray:
+def connected(first: NDArray[Any], second: NDArray[Any], count: int) -> IntArray:
     """(count,) connected component of each of `count` nodes, numbered by their first nodes.
 
-    one, other: (k,) nodes at the two ends of each link. O(count + k).
+    first, second: (k,) nodes at the two ends of each link. O(count + k).
     """
-    links = coo_array((np.ones(len(one)), (one, other)), shape=(count, count))
+    links = coo_array((np.ones(len(first)), (first, second)), shape=(count, count))
     return connected_components(links, directed=False)[1].astype(np.int64)

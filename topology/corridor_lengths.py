@@ -12,15 +12,14 @@ from .se2 import wrap
 from .topomap import RunNoise, TopoMap
 
 LIKE_SIGMAS = 4.0
-"""Largest difference of lengths of drives without detours, in standard deviations: the shortest of
-a few normal values is one or two below the mean, and hardly any value lies this far above the
-shortest."""
+"""Largest difference of lengths of drives without detours, in standard deviations: the shortest
+of a few normal values is one or two below the mean, and few are this far above it."""
 
 LEAST_M = 0.001
 """Lower bound of length errors: the precision of documents."""
 
 EXPLAINED = 2.0
-"""The variance of a chord, over what odometry and centres explain, is at most this for 98 % of the
+"""Largest ratio of the variance of a chord to that by odometry and centres, for 98 % of the
 corridors of runs with drift up to mid."""
 
 
@@ -42,17 +41,17 @@ def corridor_lengths(
     """
     bend = np.array([max(float(way[legs[0]] - line[legs[0]]), 1e-9) for legs in sound])
     # Differences of drives in order of time: sorted by length they would be too small.
-    apart = [np.diff(way[np.sort(k)]) ** 2 / (2 * b) for k, b in zip(sound, bend, strict=True)]
-    ratios = np.concatenate([np.zeros(0), *apart])
+    variances = [np.diff(way[np.sort(k)]) ** 2 / (2 * b) for k, b in zip(sound, bend, strict=True)]
+    ratios = np.concatenate([np.zeros(0), *variances])
     ratio = float(np.median(ratios)) / MEDIAN_CHI2 if len(ratios) else 0.0
     like_m = LIKE_SIGMAS * np.sqrt(ratio * bend)
     length, leg = np.zeros(len(sound)), np.zeros(len(sound), np.int64)
     for e, legs in enumerate(sound):
-        within = like_m[e] if bend[e] > like_m[e] else 0.0
-        like = legs[way[legs] <= way[legs[0]] + within]
-        length[e] = way[like].mean()
+        tolerance = like_m[e] if bend[e] > like_m[e] else 0.0
+        alike = legs[way[legs] <= way[legs[0]] + tolerance]
+        length[e] = way[alike].mean()
         # Two legs are equally far from their mean: rounded, so that the shorter one is chosen.
-        leg[e] = like[np.round(np.abs(way[like] - length[e]) / LEAST_M).argmin()]
+        leg[e] = alike[np.round(np.abs(way[alike] - length[e]) / LEAST_M).argmin()]
     return length, leg
 
 
@@ -76,15 +75,15 @@ def turning_variance(paths: Sequence[FloatArray], noise: RunNoise) -> FloatArray
     chord = points[last] - begin
     unit = chord / np.maximum(np.hypot(*chord.T), 1e-9)[:, None]
     x, y = (points - begin[owner]).T
-    off = unit[owner, 0] * y - unit[owner, 1] * x
-    step, along = np.diff(points, axis=0), owner[1:] == owner[:-1]
-    square = (off[:-1] ** 2 + off[:-1] * off[1:] + off[1:] ** 2) / 3
+    offset = unit[owner, 0] * y - unit[owner, 1] * x
+    step, same_path = np.diff(points, axis=0), owner[1:] == owner[:-1]
+    square = (offset[:-1] ** 2 + offset[:-1] * offset[1:] + offset[1:] ** 2) / 3
     heading = np.arctan2(step[:, 1], step[:, 0])
-    turn = np.abs(wrap(np.diff(heading))) * (along[1:] & along[:-1])
-    on_the_way = np.bincount(owner[1:], along * np.hypot(*step.T) * square, len(paths))
-    turning = np.bincount(owner[1:-1], turn * off[1:-1] ** 2, len(paths))
-    walk, swing = noise.heading_rad_per_sqrt_m**2, noise.heading_rad_per_sqrt_rad**2
-    return np.asarray(walk * on_the_way + swing * turning)
+    turn = np.abs(wrap(np.diff(heading))) * (same_path[1:] & same_path[:-1])
+    on_the_way = np.bincount(owner[1:], same_path * np.hypot(*step.T) * square, len(paths))
+    turning = np.bincount(owner[1:-1], turn * offset[1:-1] ** 2, len(paths))
+    per_metre, per_radian = noise.heading_rad_per_sqrt_m**2, noise.heading_rad_per_sqrt_rad**2
+    return np.asarray(per_metre * on_the_way + per_radian * turning)
 
 
 def length_variances(topomap: TopoMap) -> tuple[FloatArray, FloatArray]:

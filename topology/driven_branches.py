@@ -17,8 +17,8 @@ LEAVING_M = 1.5
 def driven_branches(graph: Graph) -> BoolArray:
     """(total branches,) whether a corridor of the map leaves by the branch.
 
-    A corridor's end that names no branch takes the one nearest in direction, within
-    DRIVEN_RAD. O(branches + edges).
+    An end of a corridor without a branch has the one nearest in direction, within DRIVEN_RAD.
+    O(branches + edges).
     """
     driven = np.zeros(len(graph.branches.values), bool)
     offsets = graph.branches.offsets
@@ -30,7 +30,7 @@ def driven_branches(graph: Graph) -> BoolArray:
         driven[offsets[vertex[known]] + branch[known]] = True
         for edge in np.flatnonzero(~known).tolist():
             leaving = leaving_over(graph.paths[edge][::step], LEAVING_M)
-            gap = np.abs(wrap(graph.branches[int(vertex[edge])] - leaving))
-            if len(gap) and gap.min() < DRIVEN_RAD:
-                driven[offsets[vertex[edge]] + int(gap.argmin())] = True
+            turn_rad = np.abs(wrap(graph.branches[int(vertex[edge])] - leaving))
+            if len(turn_rad) and turn_rad.min() < DRIVEN_RAD:
+                driven[offsets[vertex[edge]] + int(turn_rad.argmin())] = True
     return driven

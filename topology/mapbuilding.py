@@ -10,13 +10,7 @@ import numpy as np
 
 from .arrays import BoolArray, FloatArray, IntArray
 from .circular import AngleClusters, cluster_angles
-from .corridor_lengths import (
-    LEAST_M,
-    LIKE_SIGMAS,
-    corridor_lengths,
-    straightness,
-    turning_variance,
-)
+from .corridor_lengths import LEAST_M, LIKE_SIGMAS, corridor_lengths, straightness, turning_variance
 from .odometry import Odometry
 from .passes import NO_BRANCH, ONE_WAY_RAD, Passes, nearest_branch
 from .polyline import join_centres, loop_erased, loop_width, simplify, way_of, with_corners
@@ -36,29 +30,26 @@ class MapBuildingSettings:
     """Geometry of the final map."""
 
     least_share: float = 0.5
-    """A branch that was never driven is kept if this share of the vertex's passes saw it."""
+    """Least share of the vertex's passes that saw a branch, if it was never driven."""
     path_tolerance_m: float = 0.08
     """Tolerance of simplified paths."""
     junction_m: float = 0.7
-    """Radius around a junction's centre in which robots cut corners: the path is replaced by a
-    straight line there. The track passes a place if it comes as near to its centre."""
+    """Radius around a junction's centre in which robots cut corners: the path is straight there.
+    Also the largest distance at which the track passes a place."""
     passable_m: float = 0.5
-    """Points of tracks closer than this have no wall between them: about the width of a robot on
-    either side."""
+    """Largest distance of points of tracks without a wall between them: about a robot's width."""
     corner_m: float = 0.5
-    """Corners that the robot cut: the track's turn is measured over this distance to either
-    side."""
+    """Distance to either side over which the turn of the track is measured at corners."""
     corner_rad: float = 0.5
-    """A turn at least this large is a corner of the corridor, a smaller one a bend."""
+    """Least turn of a corner of the corridor; a smaller one is a bend."""
     standing_m: float = 0.05
-    """A robot that drove less than this between two visits did not move. Time that it spends within
-    this path length of a centre, standing or turning on the spot, is not counted as driving
-    time."""
+    """Least distance of a drive between two visits. Time within this path length of a centre
+    (standing, turning on the spot) is not driving time."""
     sound_m: float = 1.0
-    """A leg within this of its corridor's median length was driven straight through; one with an
-    unknown branch belongs to a corridor whose median length differs by less."""
+    """Largest difference from its corridor's median length of a leg driven straight through, and
+    of a leg with an unknown branch that belongs to the corridor."""
     repeated_m: float = 50.0
-    """Prior for the variance of wandering: this length driven again without any."""
+    """Prior for the variance of wandering, as a length driven again without any."""
 
 
 DRAWING = MapBuildingSettings()
@@ -85,14 +76,14 @@ def build_topomap(
     arriving, leaving = track.arriving + visits.pose[:, 2], track.leaving + visits.pose[:, 2]
     slots, votes, keep = _slots(passes, places, (arriving, leaving))
     branches = Ragged.by_owner(slots.owner[keep], slots.mean[keep], len(xy))
-    there = branches.take(visits.vertex)
-    exit_ = nearest_branch(there, leaving)
-    entry = nearest_branch(there, arriving)
+    branches_there = branches.take(visits.vertex)
+    exit_ = nearest_branch(branches_there, leaving)
+    entry = nearest_branch(branches_there, arriving)
     legs = _legs(odometry, visits, exit_, entry, xy=xy)
     edges = _edges(legs, xy)
     paths = _paths(legs, edges)
-    seen = np.flatnonzero(places.place >= 0)
-    observed = places.place[seen]
+    placed_passes = np.flatnonzero(places.place >= 0)
+    observed = places.place[placed_passes]
     piece = np.zeros(len(xy), np.int64)
     piece[visits.vertex] = visits.piece
     shape = errors.as_a_whole(xy, piece)
@@ -113,52 +104,51 @@ def build_topomap(
         traversals=edges.traversals,
         paths=paths,
         observation_vertex=observed,
-        observation_time_ns=passes.time_ns[seen],
+        observation_time_ns=passes.time_ns[placed_passes],
         noise=noise,
         fitted_noise=fitted_noise,
         position_sigma=shape.position_sigma(),
         branch_sigma=Ragged(branches.offsets, shape.branch_sigma(branches.owner, reading)),
         traversal_ns=edges.time_ns,
-        confidence=mean_of((passes.confidence * places.fair)[seen], observed, len(xy)),
+        confidence=mean_of((passes.confidence * places.fair)[placed_passes], observed, len(xy)),
     )
 
 
 def mean_of(values: FloatArray, group: IntArray, count: int) -> FloatArray:
     """(count,) mean of the values in each group, 1 for an empty group."""
-    size = np.bincount(group, minlength=count)
-    total = np.bincount(group, values, count)
-    return np.where(size > 0, total / np.maximum(size, 1), 1.0)
+    count_of = np.bincount(group, minlength=count)
+    sums = np.bincount(group, values, count)
+    return np.where(count_of > 0, sums / np.maximum(count_of, 1), 1.0)
 
 
 def _slots(
-    passes: Passes,
-    places: PassesAtPlaces,
-    driven_rad: tuple[FloatArray, FloatArray],
+    passes: Passes, places: PassesAtPlaces, driven_rad: tuple[FloatArray, FloatArray]
 ) -> tuple[AngleClusters, IntArray, BoolArray]:
     """Branches of every vertex as clusters of readings, the number of passes that saw each, and
     which are kept: driven ones, and those seen by enough passes. driven_rad: two arrays (v,) of
     track directions at the visits."""
     pass_vertex, visited = np.where(places.fair, places.place, -1), places.visits.vertex
     owner = passes.branches.owner
-    known = pass_vertex[owner] >= 0
-    angle = (passes.branches.values + places.turn[owner])[known]
-    home = pass_vertex[owner][known]
-    slots = cluster_angles(angle, home, ONE_WAY_RAD)
-    votes = slots.votes(owner[known])
+    placed = pass_vertex[owner] >= 0
+    angle = (passes.branches.values + places.turn[owner])[placed]
+    vertex = pass_vertex[owner][placed]
+    slots = cluster_angles(angle, vertex, ONE_WAY_RAD)
+    votes = slots.votes(owner[placed])
     visits = np.bincount(pass_vertex[pass_vertex >= 0])
     share = votes / visits[slots.owner]
     rows = Ragged.by_owner(slots.owner, slots.mean, len(visits))
     driven = np.zeros(len(slots), bool)
-    there = rows.take(visited)
+    branches_there = rows.take(visited)
     for direction in driven_rad:
-        local = nearest_branch(there, direction)
-        hit = local != NO_BRANCH
-        driven[rows.offsets[visited[hit]] + local[hit]] = True
+        local = nearest_branch(branches_there, direction)
+        on_branch = local != NO_BRANCH
+        driven[rows.offsets[visited[on_branch]] + local[on_branch]] = True
     return slots, votes, driven | slots.well_seen(share, DRAWING.least_share)
 
 
 def _kind(branches: FloatArray) -> str:
-    """What a vertex with these branches is: one is a dead end, two that are not opposite a bend."""
+    """The kind of a vertex by its branches: a dead end has one, a bend two that are not
+    opposite."""
     if len(branches) == 1:
         return "dead_end"
     if len(branches) == 2:
@@ -187,38 +177,31 @@ class _Legs:
 
 
 def _legs(
-    odometry: Odometry,
-    visits: Visits,
-    exit_: IntArray,
-    entry: IntArray,
-    *,
-    xy: FloatArray,
+    odometry: Odometry, visits: Visits, exit_: IntArray, entry: IntArray, *, xy: FloatArray
 ) -> _Legs:
     """Legs within unbroken parts of the track, without those that turn back in a corridor."""
     first = np.arange(len(visits.time_ns) - 1)
     u, v = visits.vertex[:-1], visits.vertex[1:]
-    a, b = exit_[:-1], entry[1:]
-    loop = (u == v) & ((a == b) | (a == NO_BRANCH) | (b == NO_BRANCH))
+    exits, entries = exit_[:-1], entry[1:]
+    loop = (u == v) & ((exits == entries) | (exits == NO_BRANCH) | (entries == NO_BRANCH))
     driven = np.diff(way_at(odometry, visits.time_ns)) > DRAWING.standing_m
-    fine = (np.diff(visits.piece) == 0) & ~loop & driven
-    path = _between_centres(odometry, visits, xy, first[fine])
+    usable = (np.diff(visits.piece) == 0) & ~loop & driven
+    path = _between_centres(odometry, visits, xy, first[usable])
     length = np.array([way_of(p)[-1] for p in path])
-    away = (u != v)[fine] | np.array([is_ring(p) for p in path], bool)
-    first, u, v, a, b = (x[fine][away] for x in (first, u, v, a, b))
-    path, length = [p for p, some in zip(path, away.tolist(), strict=True) if some], length[away]
+    is_corridor = (u != v)[usable] | np.array([is_ring(p) for p in path], bool)
+    first, u, v, exits, entries = (x[usable][is_corridor] for x in (first, u, v, exits, entries))
+    path = [p for p, kept in zip(path, is_corridor.tolist(), strict=True) if kept]
+    length = length[is_corridor]
     # Corridors have one direction: from the smaller (vertex, branch).
-    swap = (u > v) | ((u == v) & (a > b))
-    s, t = np.where(swap, v, u), np.where(swap, u, v)
-    sb, tb = np.where(swap, b, a), np.where(swap, a, b)
+    swap = (u > v) | ((u == v) & (exits > entries))
+    source, target = np.where(swap, v, u), np.where(swap, u, v)
+    source_branch, target_branch = np.where(swap, entries, exits), np.where(swap, exits, entries)
     time_ns = times_between(odometry, visits.time_ns, first, DRAWING.standing_m)
-    return _Legs(s, t, sb, tb, length, path, swap, time_ns)
+    return _Legs(source, target, source_branch, target_branch, length, path, swap, time_ns)
 
 
 def _between_centres(
-    odometry: Odometry,
-    visits: Visits,
-    xy: FloatArray,
-    first: IntArray,
+    odometry: Odometry, visits: Visits, xy: FloatArray, first: IntArray
 ) -> list[FloatArray]:
     """For each leg its path between the centres of both junctions, in the map's frame.
 
@@ -227,21 +210,17 @@ def _between_centres(
     placements at both junctions.
     """
     track = draw_track(odometry, visits, xy, first)
-    out = []
+    paths = []
     for k, visit in enumerate(first.tolist()):
-        drawn = track.xy[track.offsets[k] : track.offsets[k + 1]]
+        points = track.xy[track.offsets[k] : track.offsets[k + 1]]
         begin, end = xy[visits.vertex[visit : visit + 2]]
         loop = visits.vertex[visit] == visits.vertex[visit + 1]
-        out.append(centre_line(drawn, begin, end, loop=bool(loop)))
-    return out
+        paths.append(centre_line(points, begin, end, loop=bool(loop)))
+    return paths
 
 
 def centre_line(
-    drawn: FloatArray,
-    begin: FloatArray,
-    end: FloatArray,
-    *,
-    loop: bool = False,
+    drawn: FloatArray, begin: FloatArray, end: FloatArray, *, loop: bool = False
 ) -> FloatArray:
     """(p, 2) the corridor's path between the centres of two junctions, or back to the same one
     (loop), from a track (k, 2) in the map's frame that was driven between them."""
@@ -257,8 +236,8 @@ def centre_line(
 def is_ring(path: FloatArray) -> bool:
     """Whether a path back to its beginning goes round something. A robot that turns about in a
     junction or a corridor may seem to leave by one branch and enter by another."""
-    long = float(way_of(path)[-1]) > 2 * DRAWING.junction_m
-    return long and loop_width(path) > DRAWING.passable_m
+    is_long = float(way_of(path)[-1]) > 2 * DRAWING.junction_m
+    return is_long and loop_width(path) > DRAWING.passable_m
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -284,19 +263,20 @@ class _Edges:
 def _edges(legs: _Legs, xy: FloatArray) -> _Edges:
     """Legs between the same branches of the same vertices are one corridor.
 
-    A leg with an unknown branch joins the corridor between its vertices that fits its length.
+    A leg with an unknown branch belongs to the corridor that fits its length.
     """
     groups = _corridors(legs)
     keys = sorted(groups)
     members = [np.array(groups[key]) for key in keys]
     sound = [_sound(legs, member) for member in members]
-    line = np.hypot(*(xy[legs.target] - xy[legs.source]).T)
-    length, leg = corridor_lengths(legs.length, line, sound)
-    excess = sum(float(np.var(legs.length[some]) * len(some)) for some in sound)
-    way = DRAWING.repeated_m + sum(
-        float(shown * (len(some) - 1)) for shown, some in zip(length, sound, strict=True)
+    chord = np.hypot(*(xy[legs.target] - xy[legs.source]).T)
+    length, leg = corridor_lengths(legs.length, chord, sound)
+    excess = sum(float(np.var(legs.length[drives]) * len(drives)) for drives in sound)
+    shown_m = DRAWING.repeated_m + sum(
+        float(corridor_m * (len(drives) - 1))
+        for corridor_m, drives in zip(length, sound, strict=True)
     )
-    at = np.where(legs.turned[:, None], legs.time_ns[:, ::-1], legs.time_ns)
+    times = np.where(legs.turned[:, None], legs.time_ns[:, ::-1], legs.time_ns)
     detour, farthest_m = _chosen_detour(legs, members, xy)
     source, target, source_branch, target_branch = np.array(keys, np.int64).reshape(-1, 4).T
     return _Edges(
@@ -306,36 +286,35 @@ def _edges(legs: _Legs, xy: FloatArray) -> _Edges:
         target_branch=target_branch,
         length=length,
         traversals=np.array([len(member) for member in members], np.int64),
-        time_ns=tuple(by_begin(at[member]) for member in members),
+        time_ns=tuple(by_begin(times[member]) for member in members),
         leg=leg,
-        wander=excess / way,
+        wander=excess / shown_m,
         detour=detour,
         farthest_m=farthest_m,
     )
 
 
 def _sound(legs: _Legs, member: IntArray) -> IntArray:
-    """The legs that were driven straight through a corridor, shortest first."""
+    """The legs of a corridor that were driven straight through, shortest first."""
     ordered = member[np.argsort(legs.length[member], kind="stable")]
     middle = legs.length[ordered[len(ordered) // 2]]
-    sound: IntArray = ordered[np.abs(legs.length[ordered] - middle) < DRAWING.sound_m]
-    return sound
+    return np.asarray(ordered[np.abs(legs.length[ordered] - middle) < DRAWING.sound_m])
 
 
 def _corridors(legs: _Legs) -> dict[_Ends, list[int]]:
     """Indices of the legs through each corridor, by its ends."""
     rows = np.stack([legs.source, legs.target, legs.source_branch, legs.target_branch], axis=1)
     between: dict[tuple[int, int], dict[_Ends, list[int]]] = defaultdict(dict)
-    vague = []
+    unknown = []
     for k, (s, t, sb, tb) in enumerate(rows.tolist()):
         if NO_BRANCH in (sb, tb):
-            vague.append((k, (s, t, sb, tb)))
+            unknown.append((k, (s, t, sb, tb)))
         else:
             between[s, t].setdefault((s, t, sb, tb), []).append(k)
-    for k, ends in vague:
+    for k, ends in unknown:
         corridors = between[ends[:2]]
         corridors.setdefault(_fitting(legs, corridors, ends, k), []).append(k)
-    return {ends: member for some in between.values() for ends, member in some.items()}
+    return {ends: member for found in between.values() for ends, member in found.items()}
 
 
 def _chosen_detour(legs: _Legs, corridors: list[IntArray], xy: FloatArray) -> tuple[float, float]:
@@ -348,32 +327,28 @@ def _chosen_detour(legs: _Legs, corridors: list[IntArray], xy: FloatArray) -> tu
     shortest gives no estimate. In straight corridors all of the excess is detour, however small, so
     that a share found there does not apply to bends of several metres: hence the limit.
     """
-    again = [member for member in corridors if len(member) > 1]
-    if not again:
+    repeated = [member for member in corridors if len(member) > 1]
+    if not repeated:
         return 0.0, 0.0
-    row = np.concatenate(again)
-    shortest = np.concatenate([np.full(len(m), legs.length[m].min()) for m in again])
-    line = np.hypot(*(xy[legs.target[row]] - xy[legs.source[row]]).T)
-    detour, excess = legs.length[row] - shortest, legs.length[row] - line
-    usual = float((detour**2).sum()) / (len(row) - len(again))
-    share = usual / max(float(np.mean(excess**2)), 1e-9)
-    return float(np.sqrt(min(share, 1.0))), LIKE_SIGMAS * float(np.sqrt(usual))
+    row = np.concatenate(repeated)
+    shortest = np.concatenate([np.full(len(m), legs.length[m].min()) for m in repeated])
+    chord = np.hypot(*(xy[legs.target[row]] - xy[legs.source[row]]).T)
+    detour, excess = legs.length[row] - shortest, legs.length[row] - chord
+    mean_square = float((detour**2).sum()) / (len(row) - len(repeated))
+    share = mean_square / max(float(np.mean(excess**2)), 1e-9)
+    return float(np.sqrt(min(share, 1.0))), LIKE_SIGMAS * float(np.sqrt(mean_square))
 
 
-def _fitting(
-    legs: _Legs,
-    corridors: dict[_Ends, list[int]],
-    ends: _Ends,
-    k: int,
-) -> _Ends:
+def _fitting(legs: _Legs, corridors: dict[_Ends, list[int]], ends: _Ends, k: int) -> _Ends:
     """The corridor that leg k, with an unknown branch, belongs to; its own ends if none fits."""
-    best, best_off = ends, DRAWING.sound_m
-    for key, member in corridors.items():
-        if any(mine not in (NO_BRANCH, its) for mine, its in zip(ends[2:], key[2:], strict=True)):
+    best, best_difference = ends, DRAWING.sound_m
+    for key, members in corridors.items():
+        known = zip(ends[2:], key[2:], strict=True)
+        if any(branch not in (NO_BRANCH, other) for branch, other in known):
             continue
-        off = abs(float(np.median(legs.length[member])) - legs.length[k])
-        if off < best_off:
-            best, best_off = key, off
+        difference = abs(float(np.median(legs.length[members])) - legs.length[k])
+        if difference < best_difference:
+            best, best_difference = key, difference
     return best
 
 

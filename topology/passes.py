@@ -67,8 +67,7 @@ def check_passes(time_ns: IntArray, branches: Ragged) -> None:
 
 
 def nearest_branch(branches: Ragged, direction: FloatArray) -> IntArray:
-    """(p,) row-local index of the branch nearest to each direction; NO_BRANCH beyond
-    `DRIVEN_RAD`.
+    """(p,) row-local index of the branch nearest to each direction; NO_BRANCH beyond `DRIVEN_RAD`.
 
     direction: (p,) [rad]; NaN gives NO_BRANCH.
     """

@@ -10,7 +10,7 @@ from .arrays import FloatArray, IntArray
 
 
 def simplify(path: FloatArray, tolerance: float) -> FloatArray:
-    """A polyline with fewer points, none of the old ones farther than `tolerance` [m] from it.
+    """A polyline with fewer points, within `tolerance` [m] of all points of the path.
 
     Douglas and Peucker's algorithm; both ends stay, even if they coincide. O(k · points kept).
     """
@@ -24,9 +24,9 @@ def simplify(path: FloatArray, tolerance: float) -> FloatArray:
         chord, d = path[b] - path[a], path[a + 1 : b] - path[a]
         length2 = float(chord @ chord)
         along = np.clip(d @ chord / length2, 0.0, 1.0) if length2 > 0 else np.zeros(len(d))
-        off = np.hypot(*(d - along[:, None] * chord).T)
-        worst = int(off.argmax())
-        if off[worst] > tolerance:
+        away = np.hypot(*(d - along[:, None] * chord).T)
+        worst = int(away.argmax())
+        if away[worst] > tolerance:
             middle = a + 1 + worst
             keep[middle] = True
             spans += [(a, middle), (middle, b)]
@@ -35,16 +35,16 @@ def simplify(path: FloatArray, tolerance: float) -> FloatArray:
 
 def way_of(path: FloatArray) -> FloatArray:
     """(k,) arc length from the first point of a polyline (k, 2) to each of its points [m]."""
-    out, step = np.zeros(max(len(path), 1)), path[1:] - path[:-1]
-    np.cumsum(np.hypot(step[:, 0], step[:, 1]), out=out[1:])
-    return out
+    arc, step = np.zeros(max(len(path), 1)), path[1:] - path[:-1]
+    np.cumsum(np.hypot(step[:, 0], step[:, 1]), out=arc[1:])
+    return arc
 
 
 def densely(path: FloatArray, step_m: float) -> FloatArray:
     """(j, 2) points along a polyline, both ends among them, at most `step_m` apart."""
     way = way_of(path)
-    at = np.linspace(0.0, way[-1], 2 + int(way[-1] / step_m))
-    return np.stack([np.interp(at, way, path[:, k]) for k in (0, 1)], axis=-1)
+    arc = np.linspace(0.0, way[-1], 2 + int(way[-1] / step_m))
+    return np.stack([np.interp(arc, way, path[:, k]) for k in (0, 1)], axis=-1)
 
 
 def leaving_rad(path: FloatArray, end: int) -> float:
@@ -69,20 +69,22 @@ def join_centres(
 
     track: (k, 2); begin, end: (2,) centres [m]. Points within `junction_m` of a centre (cut
     corners, turning round) are dropped, and the corridor is straight there. A track that passes
-    aside of a centre is shifted onto it, with the shift decreasing linearly to zero at the other
-    end. Returns (j, 2) from `begin` to `end`, straight if the track is a single point.
+    beside a centre is shifted onto it; the shift decreases linearly to zero at the other end.
+    Returns (j, 2) from `begin` to `end`, straight if the track is a single point.
     """
     if len(track) < 2:
         return np.stack([begin, end])
     way = way_of(track)
     middle = min(max(int(np.count_nonzero(way <= way[-1] / 2)), 1), len(track) - 1)
     reach = min(junction_m, way[-1] / 3)
-    first, left = _past_centre(track[:middle], begin, reach)
-    last, came = _past_centre(track[middle:][::-1], end, reach)
-    inner = track[first : len(track) - last]
+    first, shift_begin = _past_centre(track[:middle], begin, reach)
+    dropped, shift_end = _past_centre(track[middle:][::-1], end, reach)
+    inner = track[first : len(track) - dropped]
     way = way_of(inner)[: len(inner), None]
     share = way / max(float(way.max(initial=0.0)), 1e-9)
-    return np.concatenate([begin[None], inner - (1 - share) * left - share * came, end[None]])
+    return np.concatenate(
+        [begin[None], inner - (1 - share) * shift_begin - share * shift_end, end[None]]
+    )
 
 
 def _past_centre(track: FloatArray, centre: FloatArray, reach: float) -> tuple[int, FloatArray]:
@@ -94,21 +96,21 @@ def _past_centre(track: FloatArray, centre: FloatArray, reach: float) -> tuple[i
     track kept off the centre: a track through the centre is not aside where its corridor bends. A
     first point far off (sparse tracks) shifts it no farther than the track kept off the centre.
     """
-    away = np.hypot(*(track - centre).T)
-    inside = np.flatnonzero(away < reach)
-    nearest = int(away.argmin())
+    distance = np.hypot(*(track - centre).T)
+    inside = np.flatnonzero(distance < reach)
+    nearest = int(distance.argmin())
     if len(inside) == 0:
         return nearest, track[nearest] - centre
     first = int(inside[-1]) + 1
     beyond = track[first:]
     if len(beyond) < 2:
         return first, np.zeros(2)
-    ahead = max(int(np.count_nonzero(way_of(beyond) < reach)) - 1, 1)
-    onward = beyond[ahead] - beyond[0]
+    step = max(int(np.count_nonzero(way_of(beyond) < reach)) - 1, 1)
+    onward = beyond[step] - beyond[0]
     onward = onward / max(float(np.hypot(*onward)), 1e-9)
     offset = beyond[0] - centre
-    aside = offset - (offset @ onward) * onward
-    return first, aside * float(away[nearest]) / max(reach, float(np.hypot(*aside)))
+    lateral = offset - (offset @ onward) * onward
+    return first, lateral * float(distance[nearest]) / max(reach, float(np.hypot(*lateral)))
 
 
 def loop_erased(path: FloatArray, near_m: float) -> FloatArray:
@@ -146,13 +148,13 @@ def _last_about(path: FloatArray, near_m: float) -> IntArray:
     last = dict(zip(square.tolist(), range(len(path)), strict=True))
     keys = np.array(sorted(last))
     rows = np.array([last[key] for key in keys.tolist()])
-    out = np.arange(len(path))
+    last_index = np.arange(len(path))
     for aside in (-width, 0, width):
         for step in (-1, 0, 1):
             cell = square + aside + step
-            at = np.minimum(np.searchsorted(keys, cell), len(keys) - 1)
-            out = np.maximum(out, np.where(keys[at] == cell, rows[at], 0))
-    return out
+            row = np.minimum(np.searchsorted(keys, cell), len(keys) - 1)
+            last_index = np.maximum(last_index, np.where(keys[row] == cell, rows[row], 0))
+    return last_index
 
 
 def loop_width(path: FloatArray) -> float:
@@ -179,8 +181,8 @@ def with_corners(path: FloatArray, reach_m: float, least_rad: float) -> FloatArr
     inner = way[(way > 1.5 * reach_m) & (way < way[-1] - 1.5 * reach_m)]
     if len(inner) == 0:
         return path
-    come, go = at(inner - reach_m), at(inner + reach_m)
-    into, out = come - at(inner - 2 * reach_m), at(inner + 2 * reach_m) - go
+    before, after = at(inner - reach_m), at(inner + reach_m)
+    into, out = before - at(inner - 2 * reach_m), at(inner + 2 * reach_m) - after
     cross = into[:, 0] * out[:, 1] - into[:, 1] * out[:, 0]
     turn = np.abs(np.arctan2(cross, (into * out).sum(axis=1)))
     kept, corners = np.ones(len(path), bool), []
@@ -188,22 +190,22 @@ def with_corners(path: FloatArray, reach_m: float, least_rad: float) -> FloatArr
         i = int(turn.argmax())
         if turn[i] < least_rad:
             break
-        gap = go[i] - come[i]
+        gap = after[i] - before[i]
         along = (gap[0] * out[i, 1] - gap[1] * out[i, 0]) / cross[i] if cross[i] else -1.0
-        corner = come[i] + along * into[i]
+        corner = before[i] + along * into[i]
         if (
             along > 0
-            and (go[i] - corner) @ out[i] > 0
-            and np.hypot(*(corner - go[i])) < 2 * reach_m
+            and (after[i] - corner) @ out[i] > 0
+            and np.hypot(*(corner - after[i])) < 2 * reach_m
         ):
             kept &= np.abs(way - inner[i]) >= reach_m
             corners.append((float(inner[i]), corner))
         turn[np.abs(inner - inner[i]) < 2 * reach_m] = 0.0
     if not corners:
         return path
-    where = np.concatenate([way[kept], [s for s, _ in corners]])
+    arc = np.concatenate([way[kept], [s for s, _ in corners]])
     points = np.concatenate([path[kept], [c for _, c in corners]])
-    return np.asarray(points[np.argsort(where, kind="stable")])
+    return np.asarray(points[np.argsort(arc, kind="stable")])
 
 
 class Ways:

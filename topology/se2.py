@@ -33,12 +33,12 @@ def turned(xy: FloatArray, theta_rad: Any) -> FloatArray:
 
 def turned_axes(theta_rad: FloatArray) -> FloatArray:
     """(k, 3, 3) diag(R(θ), 1) of angles (k,) [rad]."""
-    out = np.zeros((len(theta_rad), 3, 3))
-    out[:, 0, 0] = out[:, 1, 1] = np.cos(theta_rad)
-    out[:, 1, 0] = np.sin(theta_rad)
-    out[:, 0, 1] = -out[:, 1, 0]
-    out[:, 2, 2] = 1.0
-    return out
+    axes = np.zeros((len(theta_rad), 3, 3))
+    axes[:, 0, 0] = axes[:, 1, 1] = np.cos(theta_rad)
+    axes[:, 1, 0] = np.sin(theta_rad)
+    axes[:, 0, 1] = -axes[:, 1, 0]
+    axes[:, 2, 2] = 1.0
+    return axes
 
 
 def compose(T_a_b: Any, T_b_c: Any) -> FloatArray:
@@ -102,9 +102,8 @@ def fit_rigid(xy_a: Any, xy_b: Any) -> FloatArray:
     a, b = np.asarray(xy_a, np.float64), np.asarray(xy_b, np.float64)
     if a.shape != b.shape or a.ndim != 2 or a.shape[1] != 2 or len(a) == 0:
         raise ValueError(f"fit_rigid needs two equal (n, 2) arrays, got {a.shape} and {b.shape}")
-    one = np.zeros(len(a), np.int64)
-    T_a_b: FloatArray = fit_groups(a, b, one, np.ones(len(a)))[0]
-    return T_a_b
+    group = np.zeros(len(a), np.int64)
+    return np.asarray(fit_groups(a, b, group, np.ones(len(a)))[0])
 
 
 def fit_groups(
@@ -126,12 +125,12 @@ def fit_groups(
     # About the means: far from the origin the sums themselves would lose digits.
     a, b = a - mean_a[group], b - mean_b[group]
     sums = (_grouped(group, weight * part) for part in (a, b, a * b.conj()))
-    found = rigid_from_sums(total, *sums)[0]
+    unit = rigid_from_sums(total, *sums)[0]
     if turn is not None:
-        found = np.where(turn != 0, turn, found)
-    found = np.where(found != 0, found, 1.0)
-    shift = mean_a - found * mean_b
-    return np.column_stack([shift.real, shift.imag, wrap(np.angle(found))])
+        unit = np.where(turn != 0, turn, unit)
+    unit = np.where(unit != 0, unit, 1.0)
+    shift = mean_a - unit * mean_b
+    return np.column_stack([shift.real, shift.imag, wrap(np.angle(unit))])
 
 
 def _grouped(group: IntArray, value: ComplexArray) -> ComplexArray:

@@ -60,6 +60,15 @@ class RunNoise:
     """Error of a junction centre, per axis, that all of its passes have in common (median): scans
     see the same walls at each pass, so that it does not average out."""
 
+    def straight_covariance(self, distance_m: FloatArray) -> FloatArray:
+        """(k, 3, 3) isotropic covariance of x, y, theta after driving straight on (k,) [m]."""
+        turn = self.heading_rad_per_sqrt_m**2 * distance_m
+        covariance = np.zeros((len(distance_m), 3, 3))
+        shift = self.along_m_per_sqrt_m**2 * distance_m + turn * distance_m**2 / 3
+        covariance[:, 0, 0] = covariance[:, 1, 1] = shift
+        covariance[:, 2, 2] = turn
+        return covariance
+
 
 @dataclass(frozen=True, slots=True)
 class Closure:
@@ -86,11 +95,10 @@ class Graph:
 
     xy: (n, 2) vertex positions [m]. branches: n rows of headings [rad], ascending in [-pi, pi).
     kind: n names ("junction", "room", "door", "dead_end", "bend"). source, target: (m,) vertex
-    indices.
-    source_branch, target_branch: (m,) row-local branch by which the edge leaves its source /
-    target, NO_BRANCH where unknown. length: (m,) length along the corridor [m]; length_sigma: (m,)
-    1 sigma [m]; traversals: (m,) times driven. paths: m polylines (k, 2) [m] from source to target,
-    k >= 2.
+    indices. source_branch, target_branch: (m,) row-local branch by which the edge leaves its source
+    / target, NO_BRANCH where unknown. length: (m,) length along the corridor [m]; length_sigma:
+    (m,) 1 sigma [m]; traversals: (m,) times driven. paths: m polylines (k, 2) [m] from source to
+    target, k >= 2.
     """
 
     xy: FloatArray
@@ -129,16 +137,15 @@ class TopoMap(Graph):
     closure and matching, conservative; fitted_noise: estimated from the closed run, None if it is
     not known. position_sigma: (n,) 1 sigma [m] of each coordinate of a vertex, branch_sigma: n
     rows, 1 sigma of each branch heading [rad], both with the map as a whole aligned to the truth;
-    None where not known. traversal_ns: m
-    arrays (t, 2), by time: when the robot was at the edge's source and at its target on each
-    traversal (driven from target to source, the second is the earlier one); None where not known.
-    confidence: (n,) in (0, 1], probability that a vertex has exactly its branches, or one number
-    for all: 1 for maps from detections. shows_bends: whether the detector reports places with two
-    branches; those of scans and grids do not. turning_points: dead ends of the track that are not
-    vertices; `turning_vertices.with_turning_points` makes vertices of them. views: what a laser or
-    a grid shows around places of the run, posed in the map's frame. area_m2: (n,) of rooms, 0 of
-    other vertices; width_m: (n,) of doors, likewise; None where not known. Raises ValueError where
-    shapes, indices or values do not fit.
+    None where not known. traversal_ns: m arrays (t, 2), by time: when the robot was at the edge's
+    source and at its target on each traversal (driven from target to source, the second is the
+    earlier one); None where not known. confidence: (n,) in (0, 1], probability that a vertex has
+    exactly its branches, or one number for all: 1 for maps from detections. shows_bends: whether
+    the detector reports places with two branches; those of scans and grids do not. turning_points:
+    dead ends of the track that are not vertices; `turning_vertices.with_turning_points` makes
+    vertices of them. views: what a laser or a grid shows around places of the run, posed in the
+    map's frame. area_m2: (n,) of rooms, 0 of other vertices; width_m: (n,) of doors, likewise; None
+    where not known. Raises ValueError where shapes, indices or values do not fit.
     """
 
     run: str

@@ -59,8 +59,7 @@ def interpolated(odometry: Odometry, values: FloatArray, time_ns: IntArray) -> F
     origin = odometry.time_ns[0]
     times = (odometry.time_ns - origin).astype(np.float64)
     query = (np.asarray(time_ns, np.int64) - origin).astype(np.float64)
-    result: FloatArray = np.interp(query, times, values)
-    return result
+    return np.asarray(np.interp(query, times, values))
 
 
 def point_at(odometry: Odometry, way_m: FloatArray) -> FloatArray:
@@ -77,9 +76,9 @@ def seconds_at(odometry: Odometry, way_m: FloatArray) -> tuple[FloatArray, Float
     distances `way_m` (k,) [m]; they differ where it stood."""
     way, seconds = way_along(odometry), (odometry.time_ns - odometry.time_ns[0]) * 1e-9
     moved = np.diff(way) > 0
-    come, last = np.concatenate([[True], moved]), np.append(moved, True)
-    first = np.interp(way_m, way[come], seconds[come])
-    return first, np.maximum(np.interp(way_m, way[last], seconds[last]), first)
+    is_first, is_last = np.concatenate([[True], moved]), np.append(moved, True)
+    first = np.interp(way_m, way[is_first], seconds[is_first])
+    return first, np.maximum(np.interp(way_m, way[is_last], seconds[is_last]), first)
 
 
 def in_milliseconds(odometry: Odometry, seconds: FloatArray) -> IntArray:
@@ -89,8 +88,7 @@ def in_milliseconds(odometry: Odometry, seconds: FloatArray) -> IntArray:
 
 def by_begin(times_ns: IntArray) -> IntArray:
     """Traversals (t, 2), each with the times at its two ends, sorted by the earlier one."""
-    ordered: IntArray = times_ns[np.argsort(times_ns.min(axis=1), kind="stable")]
-    return ordered
+    return np.asarray(times_ns[np.argsort(times_ns.min(axis=1), kind="stable")])
 
 
 def times_between(
@@ -103,20 +101,16 @@ def times_between(
     spent within `near_m` [m] of a place (standing, turning on the spot) does not count: that
     distance is taken to be driven at the mean speed of the rest.
     """
-    at = way_at(odometry, time_ns)
-    begin, end = at[first], at[first + 1]
+    arc_m = way_at(odometry, time_ns)
+    begin, end = arc_m[first], arc_m[first + 1]
     near = np.minimum(near_m, (end - begin) / 3)
     _, left = seconds_at(odometry, begin + near)
-    came, _ = seconds_at(odometry, end - near)
-    spare = near * (came - left) / np.maximum(end - begin - 2 * near, 1e-9)
-    return in_milliseconds(odometry, np.stack([left - spare, came + spare], axis=1))
+    arrived, _ = seconds_at(odometry, end - near)
+    near_s = near * (arrived - left) / np.maximum(end - begin - 2 * near, 1e-9)
+    return in_milliseconds(odometry, np.stack([left - near_s, arrived + near_s], axis=1))
 
 
-def track_directions(
-    odometry: Odometry,
-    time_ns: IntArray,
-    centre: FloatArray,
-) -> TrackDirections:
+def track_directions(odometry: Odometry, time_ns: IntArray, centre: FloatArray) -> TrackDirections:
     """Directions in which the track leaves a circle of radius `BEYOND_M` around each place.
 
     time_ns: (p,) when the robot was at the place; centre: (p, 2) its position in the odometry

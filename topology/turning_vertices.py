@@ -20,12 +20,12 @@ def with_turning_points(topomap: TopoMap) -> TopoMap:
     if len(t) == 0:
         return topomap
     n, k = len(topomap), len(t)
-    seen = np.concatenate([topomap.observation_time_ns, *(times[:, 0] for times in t.time_ns)])
-    at = np.repeat(np.arange(n, n + k), [len(times) for times in t.time_ns])
-    whose = np.concatenate([topomap.observation_vertex, at])
-    order = np.lexsort((whose, seen))
+    time_ns = np.concatenate([topomap.observation_time_ns, *(times[:, 0] for times in t.time_ns)])
+    new_vertex = np.repeat(np.arange(n, n + k), [len(times) for times in t.time_ns])
+    vertex = np.concatenate([topomap.observation_vertex, new_vertex])
+    order = np.lexsort((vertex, time_ns))
     ends = np.arange(k + 1)
-    more = {
+    columns = {
         "xy": t.xy,
         "branches": Ragged(ends, t.heading),
         "kind": t.kind,
@@ -42,9 +42,9 @@ def with_turning_points(topomap: TopoMap) -> TopoMap:
     }
     return replace(
         topomap,
-        **columns_and(topomap, more),
-        observation_vertex=whose[order],
-        observation_time_ns=seen[order],
+        **columns_and(topomap, columns),
+        observation_vertex=vertex[order],
+        observation_time_ns=time_ns[order],
         turning_points=NO_TURNING_POINTS,
     )
 
@@ -70,30 +70,34 @@ def without_turning_points(topomap: TopoMap) -> TopoMap:
             "turning points come last, each with one branch and one corridor, which leads to it "
             "from a junction, in the order of the turning points"
         )
-    late = topomap.observation_vertex >= n
-    whose, seen = topomap.observation_vertex, topomap.observation_time_ns
-    own = columns_of(topomap, MAP_VERTEX_COLUMNS, np.arange(n, n + k))
-    ways = columns_of(topomap, MAP_EDGE_COLUMNS, np.arange(m, m + k))
-    sigma, turn, times = own["position_sigma"], own["branch_sigma"], ways["traversal_ns"]
+    is_turning = topomap.observation_vertex >= n
+    vertex, time_ns = topomap.observation_vertex, topomap.observation_time_ns
+    vertex_columns = columns_of(topomap, MAP_VERTEX_COLUMNS, np.arange(n, n + k))
+    edge_columns = columns_of(topomap, MAP_EDGE_COLUMNS, np.arange(m, m + k))
+    sigma, turn, times = (
+        vertex_columns["position_sigma"],
+        vertex_columns["branch_sigma"],
+        edge_columns["traversal_ns"],
+    )
     points = TurningPoints(
-        kind=own["kind"],
-        vertex=ways["source"],
-        branch=ways["source_branch"],
-        heading=own["branches"].values,
-        length=ways["length"],
-        length_sigma=ways["length_sigma"],
-        position_sigma=ways["length_sigma"] if sigma is None else sigma,
+        kind=vertex_columns["kind"],
+        vertex=edge_columns["source"],
+        branch=edge_columns["source_branch"],
+        heading=vertex_columns["branches"].values,
+        length=edge_columns["length"],
+        length_sigma=edge_columns["length_sigma"],
+        position_sigma=edge_columns["length_sigma"] if sigma is None else sigma,
         branch_sigma=np.zeros(k) if turn is None else turn.values,
-        traversals=ways["traversals"],
-        paths=ways["paths"],
+        traversals=edge_columns["traversals"],
+        paths=edge_columns["paths"],
         traversal_ns=(np.zeros((0, 2), np.int64),) * k if times is None else times,
-        time_ns=tuple(seen[whose == n + i][:, None] for i in range(k)),
+        time_ns=tuple(time_ns[vertex == n + i][:, None] for i in range(k)),
     )
     return replace(
         topomap,
         **columns_of(topomap, MAP_VERTEX_COLUMNS, np.arange(n)),
         **columns_of(topomap, MAP_EDGE_COLUMNS, np.arange(m)),
-        observation_vertex=whose[~late],
-        observation_time_ns=seen[~late],
+        observation_vertex=vertex[~is_turning],
+        observation_time_ns=time_ns[~is_turning],
         turning_points=points,
     )

@@ -20,9 +20,9 @@ class VertexErrors:
     """Samples of the joint error of all vertices.
 
     sample: (n, 3, s) errors of x, y [m] and of the map's rotation [rad] at each vertex, mean 0;
-    own: (n,) in [0, 1], how much of the information on the rotation at a vertex comes from readings
-    of its own branches. The samples have an arbitrary common frame each: only functions that do not
-    depend on it (distances, rigid fits) are meaningful.
+    own: (n,) in [0, 1], share of the information on the rotation at a vertex that is from its own
+    branches. The samples have an arbitrary common frame each: only functions that do not depend on
+    it (distances, rigid fits) are meaningful.
     """
 
     sample: FloatArray
@@ -39,27 +39,27 @@ class VertexErrors:
         positions: to first order the error along the connecting line; 0 where they coincide."""
         step = xy[b] - xy[a]
         unit = step / np.maximum(np.hypot(*step.T), 1e-9)[:, None]
-        off = self.sample[b, :2] - self.sample[a, :2]
-        return np.asarray((off * unit[:, :, None]).sum(axis=1))
+        difference = self.sample[b, :2] - self.sample[a, :2]
+        return np.asarray((difference * unit[:, :, None]).sum(axis=1))
 
     def distance_sigma(self, xy: FloatArray, a: IntArray, b: IntArray) -> FloatArray:
         """(k,) 1 sigma [m] of these distances; for vertices that coincide, the larger one of both
         axes."""
         along = np.sqrt(np.mean(self.distance_errors(xy, a, b) ** 2, axis=1))
-        off = self.sample[b, :2] - self.sample[a, :2]
-        either = np.sqrt(np.mean(off**2, axis=2).max(axis=1))
-        return np.asarray(np.where(np.hypot(*(xy[b] - xy[a]).T) > 1e-6, along, either))
+        difference = self.sample[b, :2] - self.sample[a, :2]
+        larger = np.sqrt(np.mean(difference**2, axis=2).max(axis=1))
+        return np.asarray(np.where(np.hypot(*(xy[b] - xy[a]).T) > 1e-6, along, larger))
 
     def as_a_whole(self, xy: FloatArray, piece: IntArray) -> VertexErrors:
         """The errors that remain after aligning the map rigidly to the truth.
 
         xy: (n, 2) positions; piece: (n,) rigid piece of each vertex, aligned separately.
         """
-        out = self.sample.copy()
+        aligned = self.sample.copy()
         for k in np.unique(piece):
             rows = piece == k
-            out[rows] = _without_rigid_motion(out[rows], xy[rows])
-        return VertexErrors(out, self.own)
+            aligned[rows] = _without_rigid_motion(aligned[rows], xy[rows])
+        return VertexErrors(aligned, self.own)
 
     def position_sigma(self) -> FloatArray:
         """(n,) 1 sigma [m] per coordinate, root mean square of both."""
@@ -84,14 +84,14 @@ class VertexErrors:
 def _without_rigid_motion(sample: FloatArray, xy: FloatArray) -> FloatArray:
     """(n, 3, s) errors minus the best-fitting shift and rotation; of a single vertex all is
     removed."""
-    arm = xy - xy.mean(axis=0)
-    out = sample.copy()
-    out[:, :2] -= sample[:, :2].mean(axis=0)
-    reach = float((arm**2).sum())
+    offset = xy - xy.mean(axis=0)
+    residual = sample.copy()
+    residual[:, :2] -= sample[:, :2].mean(axis=0)
+    inertia = float((offset**2).sum())
     turn = sample[:, 2].mean(axis=0)
-    if reach > 0:
-        lever = np.column_stack([-arm[:, 1], arm[:, 0]])
-        turn = np.einsum("nk,nks->s", lever, out[:, :2]) / reach
-        out[:, :2] -= lever[:, :, None] * turn
-    out[:, 2] -= turn
-    return out
+    if inertia > 0:
+        lever = np.column_stack([-offset[:, 1], offset[:, 0]])
+        turn = np.einsum("nk,nks->s", lever, residual[:, :2]) / inertia
+        residual[:, :2] -= lever[:, :, None] * turn
+    residual[:, 2] -= turn
+    return residual

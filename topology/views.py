@@ -1,4 +1,4 @@
-"""Views: what a laser, or a saved grid, shows of the surroundings of a place."""
+"""Views: local maps of walls and free space around a place, from a laser or a saved grid."""
 
 from __future__ import annotations
 
@@ -16,15 +16,14 @@ UNKNOWN, FREE, WALL = 0, 1, 2
 """States of a cell of a view."""
 
 CELL_M = 0.2
-"""Side of a view's cell. Half of it tells places apart no better and doubles the size."""
+"""Side of a view's cell: with half of it places are separated no better, in twice the size."""
 REACH_M = 8.0
-"""Radius of a view: as far as scans are cast into grids. Radii from 6 to 10 m tell alike."""
+"""Radius of a view, as of the grids of scans. Tried: 6 and 10 m, no change."""
 SIDE = round(2 * REACH_M / CELL_M)
 """Cells along the side of a view."""
 _STEP = (np.arange(SIDE) + 0.5) * CELL_M - REACH_M
 DISC = np.hypot(_STEP[:, None], _STEP) <= REACH_M
-"""(SIDE, SIDE) cells within the reach of a view; those in the corners are unknown, so that it looks
-the same turned."""
+"""(SIDE, SIDE) cells within the reach of a view; corners are unknown, so that it can be rotated."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,12 +61,12 @@ class Views:
         """(w, 2) centres of all cells that are walls, in the frame of the poses [m], and (w,) the
         view that each is of."""
         view, row, column = np.nonzero(self.cells == WALL)
-        own = (np.column_stack([column, row]) + 0.5) * CELL_M - REACH_M
-        return apply(self.pose[view], own), view
+        offset = (np.column_stack([column, row]) + 0.5) * CELL_M - REACH_M
+        return apply(self.pose[view], offset), view
 
 
 NO_VIEWS = Views(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, SIDE, SIDE), np.uint8))
-"""Of runs without a laser."""
+"""The views of a run without a laser."""
 
 
 def together(views: Sequence[Views]) -> Views:
@@ -77,16 +76,16 @@ def together(views: Sequence[Views]) -> Views:
 
 
 def view_cells(hit: IntArray, free: IntArray) -> NDArray[np.uint8]:
-    """(…, SIDE, SIDE) states of cells from counts of hits and of beams seen through, (…, 2 SIDE, 2
-    SIDE) each, in cells of half the side.
+    """(…, SIDE, SIDE) states of cells from counts of hits and of beams seen through, (…, 2 SIDE,
+    2 SIDE) each, in cells of half the side.
 
-    A cell is a wall where a quarter of the looks at it hit something: people who walk by are hit by
-    fewer, walls at a grazing angle by not all.
+    A cell is a wall if a quarter of its beams hit something: people who walk by are hit by fewer,
+    walls at a grazing angle by not all.
     """
     wall = (hit > 0) & (3 * hit >= free)
-    clear = (free > 0) & ~wall
-    fine = (*hit.shape[:-2], SIDE, 2, SIDE, 2)
-    walls = wall.reshape(fine).any(axis=(-3, -1))
-    clears = clear.reshape(fine).any(axis=(-3, -1))
+    is_free = (free > 0) & ~wall
+    shape = (*hit.shape[:-2], SIDE, 2, SIDE, 2)
+    walls = wall.reshape(shape).any(axis=(-3, -1))
+    clears = is_free.reshape(shape).any(axis=(-3, -1))
     states = np.where(walls, WALL, np.where(clears, FREE, UNKNOWN))
     return np.where(DISC, states, UNKNOWN).astype(np.uint8)

@@ -72,16 +72,16 @@ def draw_track(odometry: Odometry, visits: Visits, xy: FloatArray, first: IntArr
     All pieces are sampled every `STEP_M` or less in one flat array. Each point is transformed
     as seen from either visit, and interpolated between the two by the distance driven.
     """
-    at = way_at(odometry, visits.time_ns)
-    length = at[first + 1] - at[first]
+    arc_m = way_at(odometry, visits.time_ns)
+    length = arc_m[first + 1] - arc_m[first]
     points = np.maximum(np.ceil(length / STEP_M), 2).astype(np.int64) + 1
-    owner, nth = numbered(points)
+    owner, number = numbered(points)
     offsets = np.concatenate([[0], np.cumsum(points)]).astype(np.int64)
-    share = nth / (points[owner] - 1)
-    s = at[first][owner] + share * length[owner]
-    odom = point_at(odometry, s)
-    drawn, turn = _drawn(visits, xy, (first[owner], first[owner] + 1), share, odom)
-    return DrawnTrack(owner, offsets, s, odom, drawn, np.asarray(wrap(turn)))
+    share = number / (points[owner] - 1)
+    point_arc_m = arc_m[first][owner] + share * length[owner]
+    odom = point_at(odometry, point_arc_m)
+    xy_drawn, turn = _drawn(visits, xy, (first[owner], first[owner] + 1), share, odom)
+    return DrawnTrack(owner, offsets, point_arc_m, odom, xy_drawn, np.asarray(wrap(turn)))
 
 
 def _drawn(
@@ -93,37 +93,41 @@ def _drawn(
 ) -> tuple[FloatArray, FloatArray]:
     """Points (k, 2) of the odometry frame in the map frame, each transformed as seen from both of
     two visits and interpolated by `share` (k,); (k,) rotation between the frames [rad]."""
-    one, two = (
+    by_first, by_second = (
         xy[visits.vertex[v]] + turned(odom - visits.centre[v], visits.pose[v, 2]) for v in between
     )
-    turn, other = (visits.pose[v, 2] for v in between)
-    w = share[:, None]
-    return (1 - w) * one + w * two, turn + share * wrap(other - turn)
+    turn, turn_second = (visits.pose[v, 2] for v in between)
+    weight = share[:, None]
+    return (1 - weight) * by_first + weight * by_second, turn + share * wrap(turn_second - turn)
 
 
 def in_map_frame(
     odometry: Odometry, visits: Visits, xy: FloatArray, time_ns: IntArray, pose: FloatArray
 ) -> FloatArray:
     """(k, 3) poses of the odometry frame at times (k,) in the map frame, transformed and
-    interpolated as the track is by `draw_track`; before the first and after the last visit of a
-    piece, as seen from that one.
+    interpolated as by `draw_track`; before the first and after the last visit of a piece by that
+    visit alone.
 
-    xy: (n, 2) vertices. Poses of pieces without a visit come out as NaN.
+    xy: (n, 2) vertices. NaN for pieces without a visit.
     """
-    out = np.full((len(time_ns), 3), np.nan)
-    at, piece = way_at(odometry, time_ns), piece_of(odometry, time_ns)
+    moved = np.full((len(time_ns), 3), np.nan)
+    arc_m, piece = way_at(odometry, time_ns), piece_of(odometry, time_ns)
     visited = way_at(odometry, visits.time_ns)
     for k in np.unique(piece):
-        mine, own = np.flatnonzero(piece == k), np.flatnonzero(visits.piece == k)
-        if not len(own):
+        rows, piece_visits = np.flatnonzero(piece == k), np.flatnonzero(visits.piece == k)
+        if not len(piece_visits):
             continue
-        after = np.clip(np.searchsorted(visited[own], at[mine]), 0, len(own) - 1)
-        one, two = own[np.maximum(after - 1, 0)], own[after]
-        length = visited[two] - visited[one]
-        share = np.clip((at[mine] - visited[one]) / np.where(length > 0, length, 1.0), 0.0, 1.0)
-        out[mine, :2], turn = _drawn(visits, xy, (one, two), share, pose[mine, :2])
-        out[mine, 2] = wrap(pose[mine, 2] + turn)
-    return out
+        after = np.clip(
+            np.searchsorted(visited[piece_visits], arc_m[rows]), 0, len(piece_visits) - 1
+        )
+        before, later = piece_visits[np.maximum(after - 1, 0)], piece_visits[after]
+        length = visited[later] - visited[before]
+        share = np.clip(
+            (arc_m[rows] - visited[before]) / np.where(length > 0, length, 1.0), 0.0, 1.0
+        )
+        moved[rows, :2], turn = _drawn(visits, xy, (before, later), share, pose[rows, :2])
+        moved[rows, 2] = wrap(pose[rows, 2] + turn)
+    return moved
 
 
 def carried_along(

@@ -16,7 +16,7 @@ class WalkMeans:
 
     middle: (g, k) mean argument of each of k walks in each group, in the unit that the walk's
     variance grows with (metres driven, radians turned); NaN for groups without a message. lost: (g,
-    k) by how much the variance of the group's mean is smaller than that of the walk at its middle.
+    k) variance of the walk at the middle, minus that of the group's mean.
     """
 
     middle: FloatArray
@@ -44,5 +44,4 @@ class WalkMeans:
     def between(self, first: IntArray, second: IntArray) -> FloatArray:
         """(m, k) variances, for walks of unit variance, of the difference between the means over
         groups `second` and over earlier groups `first` (m,)."""
-        out: FloatArray = (self.middle - self.lost)[second] - (self.middle + self.lost)[first]
-        return out
+        return np.asarray((self.middle - self.lost)[second] - (self.middle + self.lost)[first])

@@ -1,8 +1,8 @@
 """Data association by position: vertices of different runs that coincide in a component's frame.
 
-Not all of them were matched by a pair of maps: a junction may be known to only one run when it met
-the other, or a match be too small to be accepted. Two are fused if each is the other's nearest
-within a gate, their branches fit and the corridors around them agree; doubtful ones are kept apart.
+Not all of these were matched by a pair of maps: a match may be too small to be accepted, or two
+runs may be placed through others only. Two vertices are fused if each is the other's nearest within
+a gate, their branches fit and the corridors around them agree; doubtful ones are kept apart.
 """
 
 from __future__ import annotations
@@ -35,16 +35,15 @@ class CoincidenceSettings:
     spare_branches: int = 1
     """Number of unpaired branches allowed."""
     min_chain: int = 3
-    """Runs without a match of their own need at least this many coincident places within
-    `LIKELIHOOD.gate_m`."""
+    """Least number of coincident places within `LIKELIHOOD.gate_m` of two unmatched runs."""
 
 
 COINCIDENCE = CoincidenceSettings()
 
 
 class _Surroundings:
-    """Branches of every row of a pool in the component's frame, and the lengths of corridors by the
-    branch that they leave by."""
+    """units: branches of every row of a pool in the component's frame, as unit numbers; lengths: of
+    the corridors of every row, by branch [m]."""
 
     def __init__(self, pool: Pool, pose: FloatArray) -> None:
         self.units: list[ComplexArray] = []
@@ -65,16 +64,15 @@ class _Surroundings:
         return list(zip(i.tolist(), pairs.nearest[0, i].tolist(), strict=True))
 
     def contradicted(self, u: int, v: int) -> bool:
-        """Whether of the corridors that leave both rows by paired branches more disagree in length
-        than agree."""
+        """Whether more corridors by paired branches disagree in length than agree."""
         pairs = self.partners(u, v)
         lengths = [(self.lengths[u].get(i), self.lengths[v].get(j)) for i, j in pairs]
-        agree = [
+        agreements = [
             abs(x - y) <= CORRIDOR.allowed_m(min(x, y))
             for x, y in lengths
             if x is not None and y is not None
         ]
-        return 2 * sum(agree) < len(agree)
+        return 2 * sum(agreements) < len(agreements)
 
 
 def coincident(
@@ -91,22 +89,21 @@ def coincident(
     label = groups.labels()
     around = _Surroundings(pool, pose)
     candidates = _candidates(pool, label, pose, around)
-    direct = {frozenset(pair) for pair in matched}
-    runs = [frozenset(r) for r in _runs_of(pool, label)]
-    names = [m.run for m in pool.maps]
-    fair = [(u, v, distance) for u, v, distance in candidates if not around.contradicted(u, v)]
-    between = [
+    likely = [c for c in candidates if not around.contradicted(*c[:2])]
+    runs, names = _runs_of(pool, label), [m.run for m in pool.maps]
+    run_pairs = [
         {frozenset((names[r], names[s])) for r in runs[label[u]] for s in runs[label[v]]}
-        for u, v, _ in fair
+        for u, v, _ in likely
     ]
     near = Counter(
         pair
-        for (_, _, distance), pairs in zip(fair, between, strict=True)
+        for (_, _, distance), pairs in zip(likely, run_pairs, strict=True)
         if distance <= LIKELIHOOD.gate_m
         for pair in pairs
     )
-    often = direct | {pair for pair, count in near.items() if count >= COINCIDENCE.min_chain}
-    return [(u, v) for (u, v, _), pairs in zip(fair, between, strict=True) if pairs & often]
+    allowed = {frozenset(pair) for pair in matched}
+    allowed |= {pair for pair, count in near.items() if count >= COINCIDENCE.min_chain}
+    return [(u, v) for (u, v, _), pairs in zip(likely, run_pairs, strict=True) if pairs & allowed]
 
 
 def _candidates(
@@ -115,9 +112,10 @@ def _candidates(
     """Pairs of rows, one of each place, with the distance of their places [m]: places that share no
     run, are each other's nearest by a margin, and whose branches fit."""
     visits = pass_counts(pool)
-    best = np.lexsort((np.arange(len(pool)), -visits, label))
-    speaker = best[np.searchsorted(label[best], np.arange(int(label.max(initial=-1)) + 1))]
-    if len(speaker) < 2:
+    by_passes = np.lexsort((np.arange(len(pool)), -visits, label))
+    first = np.searchsorted(label[by_passes], np.arange(int(label.max(initial=-1)) + 1))
+    shown = by_passes[first]
+    if len(shown) < 2:
         return []
     weight = np.bincount(label)
     centre = np.stack([np.bincount(label, pose[:, k]) / weight for k in (0, 1)], axis=-1)
@@ -125,22 +123,21 @@ def _candidates(
         COINCIDENCE.gate_m * COINCIDENCE.lead, output_type="ndarray"
     )
     runs = _runs_of(pool, label)
-    apart = np.array([runs[i].isdisjoint(runs[j]) for i, j in pairs.tolist()], bool)
-    u, v = pairs[apart].T if len(pairs) else (np.zeros(0, np.int64),) * 2
+    disjoint = np.array([runs[i].isdisjoint(runs[j]) for i, j in pairs.tolist()], bool)
+    u, v = pairs[disjoint].T if len(pairs) else (np.zeros(0, np.int64),) * 2
     distance = np.hypot(*(centre[u] - centre[v]).T)
-    clear = _clearly_nearest(u, v, distance, len(centre), COINCIDENCE.lead)
-    keep = np.flatnonzero(clear & (distance <= COINCIDENCE.gate_m))
-    order = keep[np.lexsort((v[keep], u[keep], distance[keep]))]
-    rows = [(int(speaker[u[k]]), int(speaker[v[k]]), float(distance[k])) for k in order]
+    is_clear = _clearly_nearest(u, v, distance, len(centre), COINCIDENCE.lead)
+    chosen = np.flatnonzero(is_clear & (distance <= COINCIDENCE.gate_m))
+    order = chosen[np.lexsort((v[chosen], u[chosen], distance[chosen]))]
+    rows = [(int(shown[u[k]]), int(shown[v[k]]), float(distance[k])) for k in order]
     return [(r, s, d) for r, s, d in rows if _branches_fit(around, r, s)]
 
 
-def _branches_fit(around: _Surroundings, u: int, v: int) -> bool:
-    """Whether at most `spare_branches` branches are unpaired, and some are paired if there are
-    any."""
-    pairs = len(around.partners(u, v))
-    lone = max(len(around.units[u]), len(around.units[v])) - pairs
-    return lone <= COINCIDENCE.spare_branches and (pairs > 0 or lone == 0)
+def _branches_fit(surroundings: _Surroundings, u: int, v: int) -> bool:
+    """Whether at most `spare_branches` branches are unpaired, and one is paired, if any."""
+    pairs = len(surroundings.partners(u, v))
+    unpaired = max(len(surroundings.units[u]), len(surroundings.units[v])) - pairs
+    return unpaired <= COINCIDENCE.spare_branches and (pairs > 0 or unpaired == 0)
 
 
 def _runs_of(pool: Pool, label: IntArray) -> list[set[int]]:
@@ -162,6 +159,6 @@ def _clearly_nearest(
                 best[end] = distance[k]
             elif np.isinf(second[end]):
                 second[end] = distance[k]
-    first = (distance <= best[u]) & (distance <= best[v])
-    rival = np.minimum(second[u], second[v])
-    return np.asarray(first & (rival >= lead * np.maximum(distance, 1e-9)))
+    mutual = (distance <= best[u]) & (distance <= best[v])
+    second_nearest = np.minimum(second[u], second[v])
+    return np.asarray(mutual & (second_nearest >= lead * np.maximum(distance, 1e-9)))

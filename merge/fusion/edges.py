@@ -46,9 +46,9 @@ class Corridor:
     """A corridor between two places, with ends in ascending order of (place, branch) and its path
     from u to v.
 
-    sigma: of the length as in the run's map [m]; shared: the part of it that is common to all runs;
-    way: the part that remains if the ends and the runs' scales are known. members: (run, edge)
-    pairs, sorted. Branches are those of the fused places.
+    sigma: of the length as in the run's map [m]; shared: its part that is common to all runs; way:
+    its part that is independent of the ends and of the runs' scales. members: (run, edge) pairs,
+    sorted. Branches are those of the fused places.
     """
 
     u: int
@@ -71,36 +71,36 @@ def corridors_of(
 
     branch_of: for each row of the pool, the fused branch of each of its branches.
     """
-    out = []
+    corridors = []
     for m in pool.maps:
         first, shared = pool.first[m.run], 2**0.5 * m.measured.shared_centre_m
         rows = slice(first, first + len(m))
-        home, branches = label[rows].tolist(), branch_of[rows]
+        place_of, branches = label[rows].tolist(), branch_of[rows]
         ways = [way_of(path) for path in m.paths]
-        drawn = _bent_paths(m, ways, pose[rows, 2], place_xy[label[rows]])
+        bent = _bent_paths(m, ways, pose[rows, 2], place_xy[label[rows]])
         columns = (
             *(m.source, m.target, m.source_branch, m.target_branch),
             *(m.length, m.length_sigma, m.traversals, np.sqrt(length_variances(m)[0])),
         )
         edges = zip(*(column.tolist() for column in columns), strict=True)
-        for e, (s, t, i, j, length, sigma, traversals, own) in enumerate(edges):
-            # The ends are fused over all runs: the length changes as that of its path.
-            bent = float(way_of(drawn[e])[-1] - ways[e][-1])
+        for e, (s, t, i, j, length, sigma, traversals, way) in enumerate(edges):
+            # The ends are fused over all runs: the length changes by as much as that of the path.
+            stretch = float(way_of(bent[e])[-1] - ways[e][-1])
             corridor = Corridor(
-                u=home[s],
-                v=home[t],
+                u=place_of[s],
+                v=place_of[t],
                 branch_u=int(branches[s][i]) if i != NO_BRANCH else NO_BRANCH,
                 branch_v=int(branches[t][j]) if j != NO_BRANCH else NO_BRANCH,
-                length=max(length + bent, LEAST_M),
+                length=max(length + stretch, LEAST_M),
                 sigma=sigma,
                 traversals=traversals,
-                path=drawn[e],
+                path=bent[e],
                 members=((m.run, e),),
                 shared=min(shared, sigma),
-                way=own,
+                way=way,
             )
-            out.append(oriented(corridor))
-    return out
+            corridors.append(oriented(corridor))
+    return corridors
 
 
 def _bent_paths(
@@ -134,20 +134,20 @@ def oriented(c: Corridor) -> Corridor:
 
 
 def fuse_corridors(corridors: Iterable[Corridor]) -> list[Corridor]:
-    """Fuse corridors that join the same places by the same branches and agree in length.
+    """Fuse corridors between the same places that have the same branches and agree in length.
 
-    A corridor with an unknown branch joins the nearest in length that its known branches fit.
+    A corridor with an unknown branch is fused with the fitting one nearest in length.
     """
-    known = sorted(corridors, key=_order)
-    out: dict[tuple[int, int], list[list[Corridor]]] = {}
-    for c in known:
-        bundles = out.setdefault((c.u, c.v), [])
+    ordered = sorted(corridors, key=_order)
+    bundles_of: dict[tuple[int, int], list[list[Corridor]]] = {}
+    for c in ordered:
+        bundles = bundles_of.setdefault((c.u, c.v), [])
         fitting = [b for b in bundles if same_corridor(b, c)]
         if fitting:
             min(fitting, key=lambda b: abs(_mean_length(b) - c.length)).append(c)
         else:
             bundles.append([c])
-    fused = [_combined(b) for bundles in out.values() for b in bundles]
+    fused = [_combined(b) for bundles in bundles_of.values() for b in bundles]
     return sorted(fused, key=_order)
 
 
@@ -160,8 +160,8 @@ def _order(c: Corridor) -> tuple[object, ...]:
 def same_corridor(bundle: list[Corridor], c: Corridor) -> bool:
     """Whether a corridor between the same places belongs to a bundle, by branches and length.
 
-    Only one corridor leaves by a branch: one equal branch is enough if the other one differs. With
-    unknown branches only the length decides.
+    Only one corridor leaves by a branch, so that one equal branch is enough. If a branch is unknown
+    at each end, only the length decides.
     """
     lead = bundle[0]
     ends = ((lead.branch_u, c.branch_u), (lead.branch_v, c.branch_v))
@@ -190,18 +190,18 @@ def _combined(bundle: list[Corridor]) -> Corridor:
     if len(bundle) == 1:
         return bundle[0]
     best = min(bundle, key=lambda c: (c.sigma, _order(c)))
-    lead = bundle[0]
+    first_known = bundle[0]
     weight = _weights(bundle)
     square = (weight / weight.sum()) ** 2
-    left = max(1 - float(square.sum()), 0.0)
-    alike = np.sqrt(left) * min(c.shared for c in bundle)
+    uncommon = max(1 - float(square.sum()), 0.0)
+    shared = np.sqrt(uncommon) * min(c.shared for c in bundle)
     members = tuple(sorted({m for c in bundle for m in c.members}))
     return replace(
         best,
-        branch_u=lead.branch_u,
-        branch_v=lead.branch_v,
+        branch_u=first_known.branch_u,
+        branch_v=first_known.branch_v,
         length=_mean_length(bundle),
-        sigma=float(np.hypot(weight.sum() ** -0.5, alike)),
+        sigma=float(np.hypot(weight.sum() ** -0.5, shared)),
         traversals=sum(c.traversals for c in bundle),
         members=members,
         way=float(np.sqrt(square @ np.array([c.way for c in bundle]) ** 2)),

@@ -27,13 +27,13 @@ from .joint_graph import (
     fitted_poses,
     measured_across,
     measured_within,
+    optimise_poses,
     pass_counts,
     run_poses,
-    settle,
 )
 from .places import Place, fused_branches, fused_places
 from .uncertainty import fused_sigmas
-from .vertex_partition import Groups, Pool, identify
+from .vertex_partition import Groups, Pool, matched_groups
 
 
 def fuse(
@@ -57,17 +57,17 @@ def fuse(
     by_name = {m.run: m for m in sorted(maps, key=lambda m: m.run)}
     accepted = [v for v in verdicts if v.accepted and v.a in by_name and v.b in by_name]
     groups = components_of(by_name, accepted)
-    home = {run: k for k, runs in enumerate(groups) for run in runs}
+    component_of = {run: k for k, runs in enumerate(groups) for run in runs}
     inside: list[list[PairVerdict]] = [[] for _ in groups]
     for v in accepted:
-        inside[home[v.a]].append(v)
+        inside[component_of[v.a]].append(v)
     kept = kept or Kept()
-    parts = [
-        fused_once([by_name[run] for run in runs], own, sigmas=sigmas, kept=kept)
-        for runs, own in zip(groups, inside, strict=True)
+    fused_parts = [
+        fused_once([by_name[run] for run in runs], part, sigmas=sigmas, kept=kept)
+        for runs, part in zip(groups, inside, strict=True)
     ]
-    components = tuple(replace(own, id=k) for k, (own, _) in enumerate(parts))
-    return components, _in_a_row([fused for _, fused in parts])
+    components = tuple(replace(part, id=k) for k, (part, _) in enumerate(fused_parts))
+    return components, _concatenated([fused for _, fused in fused_parts])
 
 
 Fused = tuple[Component, FusedMap]
@@ -97,11 +97,7 @@ def fused_once(
 
 
 def component_digest(
-    maps: Sequence[TopoMap],
-    inside: Sequence[PairVerdict],
-    kept: Kept,
-    *,
-    sigmas: bool = False,
+    maps: Sequence[TopoMap], inside: Sequence[PairVerdict], kept: Kept, *, sigmas: bool = False
 ) -> bytes:
     """A digest of everything that a component depends on: its maps and their names, the matches
     and ties that join them, strongest first, and whether sigmas are computed; not of evidence."""
@@ -122,7 +118,7 @@ def fuse_component(
 ) -> Fused:
     """Fuse one component. inside: accepted verdicts between its runs, which connect them."""
     pool = Pool.of(maps)
-    groups = identify(pool, inside)
+    groups = matched_groups(pool, inside)
     joint = _fuse_coincident(pool, groups, run_poses(list(pool.first), inside), inside)
     label = groups.labels()
     xy = _place_positions(pool, label, joint.pose)
@@ -149,11 +145,11 @@ def _fuse_coincident(
     """Optimise the positions and fuse coincident vertices alternately, until there are none:
     changes `groups`, returns the positions."""
     if len(pool.maps) < 2:
-        return settle(pool, groups.labels(), start)
+        return optimise_poses(pool, groups.labels(), start)
     within, across = measured_within(pool), measured_across(pool, inside)
     matched = [(v.a, v.b) for v in inside]
     while True:
-        joint = settle(pool, groups.labels(), start, within, across)
+        joint = optimise_poses(pool, groups.labels(), start, within, across)
         fused = [groups.join(u, v) for u, v in coincident(pool, groups, joint.pose, matched)]
         if not any(fused):
             return joint
@@ -175,15 +171,15 @@ def observations_of(
 ) -> tuple[tuple[tuple[str, int], ...], ...]:
     """For every place the passes of all its members as (run, time), sorted."""
     place_of = {m.run: np.zeros(len(m), np.int64) for m in maps}
-    for k, own in enumerate(members):
-        for run, vertices in own.items():
+    for k, member in enumerate(members):
+        for run, vertices in member.items():
             place_of[run][list(vertices)] = k
-    seen: list[list[tuple[str, int]]] = [[] for _ in members]
+    observations: list[list[tuple[str, int]]] = [[] for _ in members]
     for m in maps:
         rows = place_of[m.run][m.observation_vertex].tolist()
         for k, time_ns in zip(rows, m.observation_time_ns.tolist(), strict=True):
-            seen[k].append((m.run, time_ns))
-    return tuple(tuple(sorted(s)) for s in seen)
+            observations[k].append((m.run, time_ns))
+    return tuple(tuple(sorted(passes)) for passes in observations)
 
 
 def _fused_map(
@@ -213,7 +209,7 @@ def _fused_map(
     )
 
 
-def _in_a_row(parts: Sequence[FusedMap]) -> FusedMap:
+def _concatenated(parts: Sequence[FusedMap]) -> FusedMap:
     """All components concatenated into one FusedMap, with consecutive vertex numbers; sigmas are
     NaN for components without, and None if none has any."""
     if any(p.position_sigma is not None for p in parts):

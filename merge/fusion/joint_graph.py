@@ -1,9 +1,8 @@
 """The joint pose graph of all runs of a component, which gives the positions of all vertices.
 
-Every vertex of every run is a pose: its position, and the rotation of the run's map there against
-the component. Corridors are relative measurements within a run, with covariances from the run's
-noise and one common scale error; vertices of one place are connected by relative measurements
-between runs.
+Every vertex of every run is a pose: its position, and the rotation of the run's map there in the
+component's frame. Corridors are relative measurements within a run, with covariances from the run's
+noise and one common scale error. Measurements between runs connect the vertices of one place.
 """
 
 from __future__ import annotations
@@ -38,8 +37,8 @@ from .vertex_partition import Pool
 
 @dataclass(frozen=True, slots=True)
 class JointSettings:
-    """Standard deviations that maps do not state. Identities have Cauchy kernels as wide as
-    `LIKELIHOOD.gate_sigmas`, which limit the influence of false ones."""
+    """Standard deviations that maps do not state. Measurements between runs have Cauchy kernels as
+    wide as `LIKELIHOOD.gate_sigmas`, which limit the influence of false ones."""
 
     min_position_m: float = 0.01
     """Lower bound of the uncertainty of a junction's centre between two maps."""
@@ -49,20 +48,18 @@ class JointSettings:
     branch_gate_rad: float = 0.6
     """Gate on the branches of one place in different maps."""
     bridge_m: float = 1.0
-    """Standard deviation of the relative position of parts of one map that no corridor
-    connects."""
+    """Standard deviation of the relative position of parts of one map that no corridor connects."""
     bridge_rad: float = 0.1
     """Standard deviation of the relative heading of such parts."""
     scaled_runs: int = 24
-    """Up to this many runs each odometry's scale is estimated as well; memory and time grow with
-    the square of their number."""
+    """Largest number of runs whose scales are estimated: memory and time grow with its square."""
     min_scale: float = 1e-6
     """Lower bound of the scale's standard deviation, 0.1 mm in 100 m, which keeps information
     finite; runs without odometry errors state 2e-5 to 1e-4."""
     grid_rad: float = 0.035
-    """Prior of the standard deviation of corridors about the grid of a rectilinear building."""
+    """Prior standard deviation of corridors about the grid of a rectilinear building."""
     grid_junctions: float = 20.0
-    """Weight of that prior, as a number of junctions."""
+    """Weight of this prior, as a number of junctions."""
 
 
 JOINT = JointSettings()
@@ -71,13 +68,12 @@ _SAMPLES = 64
 """Number of samples of the vertices' errors; their mean square has an error of a few per cent."""
 
 _LEAST_BEND = 0.03
-"""Lower bound of the share of a map's stated variances that bending explains: they are estimated
-from 256 samples, and known no better."""
+"""Lower bound of the share of a map's stated variances that is due to bending (sampled)."""
 
 _STIFF = 1.1
-"""Where no grid holds the headings, what maps state of their own errors, carried through the joint
-graph, is this share of the variance across and of turns that it would state itself: 1.09 and 1.14
-at high drift (`benchmarks/transforms.py --worlds organic city`)."""
+"""Factor on the variances of a map without a grid. Variances stated by maps, propagated through the
+joint graph, are this share of its own variance across and of turns: 1.09 and 1.14 at high drift
+(`benchmarks/transforms.py --worlds organic city`)."""
 
 SOLVER = SolverSettings(relative_tolerance=1e-5, max_iterations=25)
 """Cauchy kernels converge slowly; the remaining error is far below a millimetre."""
@@ -85,9 +81,8 @@ SOLVER = SolverSettings(relative_tolerance=1e-5, max_iterations=25)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Joint:
-    """Poses (n, 3) of all rows of a pool in the component's frame (position, and rotation of the
-    run's map there), and the graph with its solution, in a frame of its own; None if no place
-    connects two runs."""
+    """pose: (n, 3) of all rows of a pool in the component's frame (position, and rotation of the
+    run's map there); graph, solution: in another frame; None if no place connects two runs."""
 
     pose: FloatArray
     graph: PoseGraph | None
@@ -95,33 +90,32 @@ class Joint:
 
 
 def run_poses(runs: Sequence[str], verdicts: Sequence[PairVerdict]) -> dict[str, FloatArray]:
-    """An initial T_component_run of every run, along a maximum spanning tree of accepted verdicts
-    by evidence.
+    """Initial T_component_run of every run, along a maximum spanning tree by evidence.
 
     The frame is that of the first run by name; runs that are not connected to it are left out.
     """
-    of: dict[str, list[tuple[float, str, str, FloatArray]]] = {}
+    links_of: dict[str, list[tuple[float, str, str, FloatArray]]] = {}
     for v in verdicts:
         if v.accepted and v.best is not None:
             link = (-v.evidence_bits, v.a, v.b, v.best.transform)
-            of.setdefault(v.a, []).append(link)
-            of.setdefault(v.b, []).append(link)
+            links_of.setdefault(v.a, []).append(link)
+            links_of.setdefault(v.b, []).append(link)
     start = min(runs)
-    poses, ahead = {start: np.zeros(3)}, list(of.get(start, ()))
-    heapq.heapify(ahead)
-    while ahead:  # Prim's algorithm: the strongest verdict that reaches a new run
-        _, a, b, T_a_b = heapq.heappop(ahead)
+    poses, frontier = {start: np.zeros(3)}, list(links_of.get(start, ()))
+    heapq.heapify(frontier)
+    while frontier:  # Prim's algorithm: the strongest verdict that reaches a new run
+        _, a, b, T_a_b = heapq.heappop(frontier)
         if a in poses and b in poses:
             continue
         new = b if a in poses else a
         poses[new] = compose(poses[a], T_a_b) if new == b else compose(poses[b], inverse(T_a_b))
-        for link in of[new]:
+        for link in links_of[new]:
             if link[1] not in poses or link[2] not in poses:
-                heapq.heappush(ahead, link)
+                heapq.heappush(frontier, link)
     return poses
 
 
-def settle(
+def optimise_poses(
     pool: Pool,
     label: IntArray,
     start: Mapping[str, FloatArray],
@@ -135,30 +129,30 @@ def settle(
     fit of the first run's map to its optimised vertices is the identity.
     """
     local = [np.column_stack([m.xy, np.zeros(len(m))]) for m in pool.maps]
-    guess = np.concatenate(
+    initial = np.concatenate(
         [compose(start[m.run], pose) for m, pose in zip(pool.maps, local, strict=True)]
     )
-    ties = joined([_identity_factors(pool, label, guess), across])
-    if len(ties.source) == 0:
-        return Joint(guess, None, None)
+    across_factors = joined([_place_factors(pool, label, initial), across])
+    if len(across_factors.source) == 0:
+        return Joint(initial, None, None)
     within = within or measured_within(pool)
-    factors = joined([within, ties])
+    factors = joined([within, across_factors])
     kernel = np.full(len(factors.source), np.inf)
     kernel[len(within.source) :] = LIKELIHOOD.gate_sigmas
     graph = PoseGraph(
-        pose=guess,
+        pose=initial,
         source=factors.source,
         target=factors.target,
         measurement=factors.measurement,
         information=factors.information,
         kernel=kernel,
-        priors=_grid_priors(pool, guess),
+        priors=_grid_priors(pool, initial),
         shared=_scales(pool, factors, len(within.source)),
     )
     solution = solve(graph, SOLVER)
     first = pool.maps[0]
-    home = fit_rigid(solution.pose[: len(first), :2], first.xy) if len(first) else np.zeros(3)
-    return Joint(compose(inverse(home), solution.pose), graph, solution)
+    fit = fit_rigid(solution.pose[: len(first), :2], first.xy) if len(first) else np.zeros(3)
+    return Joint(compose(inverse(fit), solution.pose), graph, solution)
 
 
 def measured_within(pool: Pool) -> Measurements:
@@ -167,8 +161,8 @@ def measured_within(pool: Pool) -> Measurements:
 
 
 def measured_across(pool: Pool, verdicts: Sequence[PairVerdict]) -> Measurements:
-    """The relative measurements between rows of different runs, as accepted verdicts hold them."""
-    ties = [
+    """The relative measurements between rows of different runs in accepted verdicts."""
+    measurements = [
         replace(
             v.best.ties,
             source=v.best.ties.source + pool.first[v.a],
@@ -177,20 +171,20 @@ def measured_across(pool: Pool, verdicts: Sequence[PairVerdict]) -> Measurements
         for v in verdicts
         if v.best is not None
     ]
-    return joined([NO_MEASUREMENTS, *ties])
+    return joined([NO_MEASUREMENTS, *measurements])
 
 
 def fitted_poses(pool: Pool, pose: FloatArray) -> dict[str, FloatArray]:
     """T_component_run of every run: the rigid fit of its map to its optimised vertices."""
-    out = {}
+    poses = {}
     for m in pool.maps:
         rows = slice(pool.first[m.run], pool.first[m.run] + len(m))
-        out[m.run] = _fit(pose[rows], m.xy)
-    out[pool.maps[0].run] = np.zeros(3)
-    return out
+        poses[m.run] = _rigid_fit(pose[rows], m.xy)
+    poses[pool.maps[0].run] = np.zeros(3)
+    return poses
 
 
-def _fit(pose: FloatArray, xy: FloatArray) -> FloatArray:
+def _rigid_fit(pose: FloatArray, xy: FloatArray) -> FloatArray:
     """The rigid fit of map positions to poses; for a single position by the poses' own heading."""
     if len(xy) == 0:
         return np.zeros(3)
@@ -203,37 +197,39 @@ def _fit(pose: FloatArray, xy: FloatArray) -> FloatArray:
 
 def _map_factors(topomap: TopoMap, first: int) -> Measurements:
     """The corridors of one map as relative measurements; `first`: its first row in the pool."""
-    given = odometry_measurements(topomap)
-    information = given.information / bending(topomap)
-    roads = Measurements(given.source + first, given.target + first, given.measurement, information)
-    return joined([roads, _bridges(topomap, first)])
+    odometry = odometry_measurements(topomap)
+    information = odometry.information / bending(topomap)
+    corridors = Measurements(
+        odometry.source + first, odometry.target + first, odometry.measurement, information
+    )
+    return joined([corridors, _bridges(topomap, first)])
 
 
 def bending(topomap: TopoMap) -> float:
-    """Factor on the variances of a map's corridors with which its vertices are as uncertain as its
+    """Factor on the variances of a map's corridors that makes its vertices as uncertain as its
     document states (`position_sigma`).
 
     The corridors' variances are of random walks and of the scatter of passes. The `position_sigma`
-    of vertices also holds constant errors of the odometry, which bend the map (a bias, a scale of
-    turns), and the error of each centre. The latter is subtracted, less the part that a rigid fit
-    to the truth absorbs: 3 of the 2 n errors of n vertices, which with good odometry is as much as
-    all bending.
+    of vertices also contains constant errors of the odometry, which bend the map (a bias, a scale
+    of turns), and the error of each centre. The latter is subtracted, without the part that a rigid
+    fit to the truth absorbs: 3 of 2 n errors, with good odometry as much as all bending.
     """
     if topomap.position_sigma is None or len(topomap) < 3:
         return 1.0
     graph, noise = map_pose_graph(topomap), topomap.measured
     graph = replace(graph, priors=_grid_priors(Pool.of([topomap]), graph.pose))
     whole = np.zeros(len(topomap), np.int64)
-    walked = SampledMarginals.of(graph, solve(graph, SOLVER), _SAMPLES).error
-    bent = VertexErrors(walked).as_a_whole(topomap.xy, whole).position_sigma()
-    arm = topomap.xy - topomap.xy.mean(axis=0)
-    reach = (arm**2).sum(axis=1)
-    kept = 1 - 1 / len(topomap) - reach / (2 * max(float(reach.sum()), 1e-12))
-    seen = kept * topomap.centre_variance
-    stretched = noise.scale**2 * reach / 2
+    sampled = SampledMarginals.of(graph, solve(graph, SOLVER), _SAMPLES).error
+    sigma = VertexErrors(sampled).as_a_whole(topomap.xy, whole).position_sigma()
+    offset = topomap.xy - topomap.xy.mean(axis=0)
+    reach2 = (offset**2).sum(axis=1)
+    remaining = 1 - 1 / len(topomap) - reach2 / (2 * max(float(reach2.sum()), 1e-12))
+    centre_variance = remaining * topomap.centre_variance
+    scale_variance = noise.scale**2 * reach2 / 2
     stated = topomap.position_sigma**2
-    left = float((stated - seen - stretched).sum())
-    share = max(left, _LEAST_BEND * float(stated.sum())) / max(float((bent**2).sum()), 1e-12)
+    bent_variance = float((stated - centre_variance - scale_variance).sum())
+    share = max(bent_variance, _LEAST_BEND * float(stated.sum()))
+    share /= max(float((sigma**2).sum()), 1e-12)
     return share if len(graph.priors) else _STIFF * share
 
 
@@ -242,15 +238,15 @@ def _bridges(topomap: TopoMap, first: int) -> Measurements:
     part = connected(topomap.source, topomap.target, len(topomap))
     anchor = np.unique(part, return_index=True)[1]
     u, v = anchor[:-1], anchor[1:]
-    measured = np.column_stack([topomap.xy[v] - topomap.xy[u], np.zeros(len(u))])
+    offset = np.column_stack([topomap.xy[v] - topomap.xy[u], np.zeros(len(u))])
     weight = np.array([JOINT.bridge_m, JOINT.bridge_m, JOINT.bridge_rad]) ** -2.0
     information = np.tile(np.diag(weight), (len(u), 1, 1))
-    return Measurements(u + first, v + first, measured.reshape(-1, 3), information)
+    return Measurements(u + first, v + first, offset.reshape(-1, 3), information)
 
 
 def usual_scale(maps: Sequence[TopoMap]) -> float:
-    """Root mean square of the runs' scale errors (relative, standard deviation): robots of one
-    fleet are alike, and few runs can measure their own."""
+    """Root mean square of the runs' scale errors (relative, standard deviation). All runs get it:
+    robots of one fleet are alike, and few runs can measure their own scale."""
     return float(np.sqrt(np.mean([m.measured.scale**2 for m in maps])))
 
 
@@ -269,7 +265,7 @@ def _scales(pool: Pool, factors: Measurements, within: int) -> SharedErrors:
     return SharedErrors(sensitivity, sigma)
 
 
-def _identity_factors(pool: Pool, label: IntArray, guess: FloatArray) -> Measurements:
+def _place_factors(pool: Pool, label: IntArray, guess: FloatArray) -> Measurements:
     """Measurements from the first row of each place to its other rows: same position, and a
     rotation by the branches."""
     order = np.argsort(label, kind="stable")
@@ -278,14 +274,16 @@ def _identity_factors(pool: Pool, label: IntArray, guess: FloatArray) -> Measure
     heading, visits = branch_headings(pool), pass_counts(pool)
     noise = [m.measured for m in pool.maps]
     centre = centre_sigma(pool)
-    spread = np.array([x.branch_rad for x in noise])[pool.run] / np.sqrt(visits)
+    branch_sigma = np.array([x.branch_rad for x in noise])[pool.run] / np.sqrt(visits)
     turn, count = measured_turn(
         heading[source], heading[target], wrap(guess[target, 2] - guess[source, 2]),
         JOINT.branch_gate_rad,
     )  # fmt: skip
     position = np.hypot(centre[source], centre[target])
-    both = np.hypot(spread[source], spread[target]) / np.sqrt(np.maximum(count, 1))
-    sigma = np.maximum(both, JOINT.min_heading_rad)
+    turn_sigma = np.hypot(branch_sigma[source], branch_sigma[target]) / np.sqrt(
+        np.maximum(count, 1)
+    )
+    sigma = np.maximum(turn_sigma, JOINT.min_heading_rad)
     information = np.zeros((len(source), 3, 3))
     information[:, 0, 0] = information[:, 1, 1] = position**-2.0
     information[:, 2, 2] = np.where(count > 0, sigma**-2.0, 0.0)
@@ -307,17 +305,17 @@ def _grid_priors(pool: Pool, guess: FloatArray) -> Priors:
     if np.abs(wrap(4 * (grid + guess[:, 2] - target))).max() > 4 * STRUCTURE.rectilinear_rad:
         return Priors.empty()
     heading, visits = branch_headings(pool), pass_counts(pool)
-    off = wrap(4 * (heading + guess[:, 2:] - target)) / 4
-    used = np.abs(off) <= STRUCTURE.rectilinear_rad  # NaN, beyond the degree, is not
-    count = used.sum(axis=1)
+    deviation = wrap(4 * (heading + guess[:, 2:] - target)) / 4
+    near_grid = np.abs(deviation) <= STRUCTURE.rectilinear_rad  # NaN, beyond the degree, is not
+    count = near_grid.sum(axis=1)
     rows = np.flatnonzero(count)
-    mean = np.where(used, off, 0.0).sum(axis=1)[rows] / count[rows]
-    spread = np.array([m.measured.branch_rad for m in pool.maps])[pool.run[rows]]
-    spread = spread / np.sqrt(count[rows] * visits[rows])
-    own = grid_sigma(mean, spread, pool.run[rows])
-    if own > JOINT.grid_rad:
-        return Priors.empty()  # square at every crossing, and bent as a whole
-    sigma = np.hypot(spread, own)
+    mean = np.where(near_grid, deviation, 0.0).sum(axis=1)[rows] / count[rows]
+    branch_sigma = np.array([m.measured.branch_rad for m in pool.maps])[pool.run[rows]]
+    branch_sigma = branch_sigma / np.sqrt(count[rows] * visits[rows])
+    corridor_sigma = grid_sigma(mean, branch_sigma, pool.run[rows])
+    if corridor_sigma > JOINT.grid_rad:
+        return Priors.empty()  # rectangular crossings, but bent corridors
+    sigma = np.hypot(branch_sigma, corridor_sigma)
     kernel = np.full(len(rows), LIKELIHOOD.gate_sigmas)
     return Priors.headings(rows, np.asarray(wrap(guess[rows, 2] - mean)), sigma, kernel)
 
@@ -330,31 +328,29 @@ def grid_sigma(off_rad: FloatArray, spread_rad: FloatArray, run: IntArray) -> fl
     is shrunk towards the prior, which has the weight of `grid_junctions`.
     """
     count = np.maximum(np.bincount(run), 1)
-    own = off_rad - (np.bincount(run, off_rad) / count)[run]
-    beyond = float((own**2 - spread_rad**2).sum())
-    known = JOINT.grid_junctions
-    variance = (beyond + known * JOINT.grid_rad**2) / (len(run) + known)
+    centred = off_rad - (np.bincount(run, off_rad) / count)[run]
+    excess = float((centred**2 - spread_rad**2).sum())
+    prior_weight = JOINT.grid_junctions
+    variance = (excess + prior_weight * JOINT.grid_rad**2) / (len(run) + prior_weight)
     return float(np.sqrt(max(variance, JOINT.min_heading_rad**2)))
 
 
 def measured_turn(
     heading_a: FloatArray, heading_b: FloatArray, expected_rad: FloatArray, gate_rad: float
 ) -> tuple[FloatArray, IntArray]:
-    """The rotation of frame b in frame a by the branches of one place seen in both, and the number
-    of branches used.
+    """(k,) rotations of frames b in frames a by the branches of one place in both, and numbers of
+    branches used: the mean difference a - b over mutually nearest branches within the gate.
 
-    heading_a, heading_b: (k, D) padded with NaN, each in its own map; expected_rad: (k,) the
-    rotation to within the gate. Mean difference a - b over mutually nearest branches within the
-    gate.
+    heading_a, heading_b: (k, D) padded with NaN, each in its own map; expected_rad: (k,).
     """
     if not (heading_a.size and heading_b.size):
         return expected_rad.copy(), np.zeros(len(expected_rad), np.int64)
     unit_a = unit_headings(heading_a)
     unit_b = unit_headings(heading_b + expected_rad[:, None])
     pairs = mutual_nearest(unit_a, unit_b, float(np.cos(gate_rad)))
-    gap = np.angle(unit_a * np.take_along_axis(unit_b, pairs.nearest, axis=1).conj())
+    difference = np.angle(unit_a * np.take_along_axis(unit_b, pairs.nearest, axis=1).conj())
     count = pairs.paired.sum(axis=1)
-    mean = np.where(pairs.paired, gap, 0.0).sum(axis=1) / np.maximum(count, 1)
+    mean = np.where(pairs.paired, difference, 0.0).sum(axis=1) / np.maximum(count, 1)
     return np.asarray(wrap(expected_rad + mean)), count
 
 
@@ -369,19 +365,19 @@ def branch_headings(pool: Pool) -> FloatArray:
 
 def centre_sigma(pool: Pool) -> FloatArray:
     """(n,) standard deviation per axis of each row's centre as seen by its own map [m]."""
-    one = np.array([m.measured.centre_m for m in pool.maps])[pool.run]
-    least = JOINT.min_position_m / np.sqrt(2)
-    return np.asarray(np.maximum(one / np.sqrt(pass_counts(pool)), least))
+    of_pass = np.array([m.measured.centre_m for m in pool.maps])[pool.run]
+    least_m = JOINT.min_position_m / np.sqrt(2)
+    return np.asarray(np.maximum(of_pass / np.sqrt(pass_counts(pool)), least_m))
 
 
 def shared_sigma(pool: Pool) -> FloatArray:
     """(n,) standard deviation per axis of the error common to all passes of each row [m]: the run's
-    median, but at most what its map states for all errors there."""
-    alike = np.array([m.measured.shared_centre_m for m in pool.maps])[pool.run]
+    median, but at most the `position_sigma` of the row."""
+    shared = np.array([m.measured.shared_centre_m for m in pool.maps])[pool.run]
     stated = [
         np.full(len(m), np.inf) if m.position_sigma is None else m.position_sigma for m in pool.maps
     ]
-    return np.asarray(np.minimum(alike, np.concatenate(stated)))
+    return np.asarray(np.minimum(shared, np.concatenate(stated)))
 
 
 def pass_counts(pool: Pool) -> IntArray:

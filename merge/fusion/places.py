@@ -17,7 +17,7 @@ from .joint_graph import JOINT, pass_counts
 from .vertex_partition import Pool
 
 MIN_BRANCH_SHARE = 0.3
-"""A branch that was never driven is kept if this share of the passes saw it."""
+"""Least share of the passes that saw a branch, if it was never driven."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -25,8 +25,8 @@ class Place:
     """A fused vertex.
 
     rows: its members in the pool; headings: (d,) branches in the component's frame [rad],
-    ascending; branch_of: for each row, the fused branch of each of its own branches, NO_BRANCH for
-    one that was dropped; kind: that of most passes.
+    ascending; branch_of: for each row, the fused branch of each of its branches, NO_BRANCH for
+    dropped ones; kind: by most passes.
     """
 
     rows: list[int]
@@ -36,8 +36,8 @@ class Place:
 
 
 @dataclass(frozen=True, slots=True)
-class _Sighting:
-    """A branch as one row saw it, in the component's frame."""
+class _BranchReading:
+    """A branch of one row, in the component's frame [rad]; weight: passes over variance."""
 
     heading: float
     weight: float
@@ -51,60 +51,60 @@ def fused_places(pool: Pool, label: IntArray, pose: FloatArray) -> list[Place]:
     rows = parted(order, np.bincount(label).tolist())
     visits, driven = pass_counts(pool), _driven(pool)
     degree = [d for m in pool.maps for d in m.degree.tolist()]
-    out = []
+    places = []
     for members in (r.tolist() for r in rows):
         clusters = _clusters(pool, members, pose, visits)
-        kept = _believed(clusters, members, visits, driven)
+        kept = _confirmed(clusters, members, visits, driven)
         means = np.array([_mean(c) for c in kept])
         order = np.argsort(means, kind="stable")
         branch_of = {r: np.full(degree[r], NO_BRANCH, np.int64) for r in members}
         for position, k in enumerate(order.tolist()):
             for s in kept[k]:
                 branch_of[s.row][s.branch] = position
-        out.append(Place(members, means[order], branch_of, _kind(pool, members, visits)))
-    return out
+        places.append(Place(members, means[order], branch_of, _kind(pool, members, visits)))
+    return places
 
 
 def fused_branches(places: Sequence[Place], rows: int) -> list[IntArray]:
     """For each of the rows of a pool the fused branch of each of its branches, as in `Place`."""
-    out = [np.zeros(0, np.int64)] * rows
+    fused = [np.zeros(0, np.int64)] * rows
     for place in places:
         for row, branches in place.branch_of.items():
-            out[row] = branches
-    return out
+            fused[row] = branches
+    return fused
 
 
 def _driven(pool: Pool) -> list[set[int]]:
     """For each row the branches that a corridor leaves by."""
-    out: list[set[int]] = [set() for _ in range(len(pool))]
+    driven: list[set[int]] = [set() for _ in range(len(pool))]
     for m in pool.maps:
         first = pool.first[m.run]
         for vertex, branch in ((m.source, m.source_branch), (m.target, m.target_branch)):
             for v, i in zip(vertex.tolist(), branch.tolist(), strict=True):
                 if i != NO_BRANCH:
-                    out[first + v].add(i)
-    return out
+                    driven[first + v].add(i)
+    return driven
 
 
 def _clusters(
     pool: Pool, rows: list[int], pose: FloatArray, visits: IntArray
-) -> list[list[_Sighting]]:
+) -> list[list[_BranchReading]]:
     """Clusters of the branches of all rows of a place.
 
-    Rows are taken by number of passes; each branch joins the cluster that it is mutually nearest
-    to, or starts a new one.
+    Rows are taken by number of passes; each branch is added to the cluster that it is mutually
+    nearest to, or starts a new one.
     """
-    clusters: list[list[_Sighting]] = []
+    clusters: list[list[_BranchReading]] = []
     for row in sorted(rows, key=lambda r: (-int(visits[r]), r)):
         m = pool.maps[int(pool.run[row])]
         headings = wrap(m.branches[int(pool.vertex[row])] + pose[row, 2])
         weight = float(visits[row]) / max(m.noise.branch_rad, 1e-3) ** 2
         centres = np.array([_mean(c) for c in clusters])
-        own, known = (np.exp(1j * angles)[None] for angles in (headings, centres))
-        pairs = mutual_nearest(own, known, float(np.cos(JOINT.branch_gate_rad)))
+        new_units, cluster_units = (np.exp(1j * angles)[None] for angles in (headings, centres))
+        pairs = mutual_nearest(new_units, cluster_units, float(np.cos(JOINT.branch_gate_rad)))
         paired, nearest = pairs.paired[0], pairs.nearest[0]
         for branch, heading in enumerate(headings.tolist()):
-            sighting = _Sighting(heading, weight, row, branch)
+            sighting = _BranchReading(heading, weight, row, branch)
             if paired[branch]:
                 clusters[nearest[branch]].append(sighting)
             else:
@@ -112,9 +112,9 @@ def _clusters(
     return clusters
 
 
-def _believed(
-    clusters: list[list[_Sighting]], rows: list[int], visits: IntArray, driven: list[set[int]]
-) -> list[list[_Sighting]]:
+def _confirmed(
+    clusters: list[list[_BranchReading]], rows: list[int], visits: IntArray, driven: list[set[int]]
+) -> list[list[_BranchReading]]:
     """Clusters with a branch that was driven, or that enough passes saw."""
     enough = MIN_BRANCH_SHARE * float(visits[rows].sum())
     return [
@@ -125,7 +125,7 @@ def _believed(
     ]
 
 
-def _mean(cluster: list[_Sighting]) -> float:
+def _mean(cluster: list[_BranchReading]) -> float:
     """Circular mean heading, weighted by inverse variance (§4)."""
     if len(cluster) == 1:
         return cluster[0].heading
@@ -134,7 +134,7 @@ def _mean(cluster: list[_Sighting]) -> float:
 
 
 def _kind(pool: Pool, rows: list[int], visits: IntArray) -> str:
-    """The kind of most passes; in a tie that of the first run."""
+    """The kind by most passes; in a tie that of the first run."""
     count: Counter[str] = Counter()
     for row in rows:
         count[pool.maps[int(pool.run[row])].kind[int(pool.vertex[row])]] += int(visits[row])

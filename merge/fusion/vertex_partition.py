@@ -53,18 +53,18 @@ class Groups:
         self._rows = [[row] for row in range(len(run))]
 
     def join(self, row: int, other: int) -> bool:
-        """Join two groups, unless that puts two vertices of a run into one; returns whether they
-        are one."""
-        keep, gone = sorted((self._head[row], self._head[other]))
-        if keep == gone:
+        """Join the groups of two rows, unless that puts two vertices of a run into one group.
+        Returns whether they are in one group."""
+        first, second = sorted((self._head[row], self._head[other]))
+        if first == second:
             return True
-        runs = {int(self._run[r]) for r in self._rows[keep]}
-        if any(int(self._run[r]) in runs for r in self._rows[gone]):
+        runs = {int(self._run[r]) for r in self._rows[first]}
+        if any(int(self._run[r]) in runs for r in self._rows[second]):
             return False
-        for r in self._rows[gone]:
-            self._head[r] = keep
-        self._rows[keep] += self._rows[gone]
-        self._rows[gone] = []
+        for r in self._rows[second]:
+            self._head[r] = first
+        self._rows[first] += self._rows[second]
+        self._rows[second] = []
         return True
 
     def labels(self) -> IntArray:
@@ -75,11 +75,10 @@ class Groups:
         return np.unique(first[heads], return_inverse=True)[1].astype(np.int64)
 
 
-def identify(pool: Pool, verdicts: Iterable[PairVerdict]) -> Groups:
+def matched_groups(pool: Pool, verdicts: Iterable[PairVerdict]) -> Groups:
     """Groups by the matched pairs of all accepted verdicts, strongest evidence first.
 
-    Matches are transitive; one that would put two vertices of the same run into a group contradicts
-    stronger ones and is ignored.
+    Matches are transitive. One that would put two vertices of a run into one group is ignored.
     """
     groups = Groups(pool.run)
     for verdict in sorted(verdicts, key=lambda v: (-v.evidence_bits, v.a, v.b)):

@@ -31,7 +31,7 @@ from ...topology.arrays import FloatArray, IntArray
 from ...topology.columns import take
 from ...topology.connected import connected
 from ...topology.matching.association import Growth, grow
-from ...topology.matching.correspondence import TURNED, GrowthSettings, masks_agree, node_rotations
+from ...topology.matching.correspondence import ROTATED, GrowthSettings, masks_agree, node_rotations
 from ...topology.matching.structure import Structure
 
 
@@ -120,7 +120,7 @@ def match_bits(
     branches_only = np.maximum(vertices - 2 - across, 0)
     of_branches = -np.log2(max(*(x.ends for x in alike), 2.0**-16))
     nodes = growth.nodes
-    same = a.mask[nodes.vertex_a] == TURNED[b.mask[nodes.vertex_b], nodes.correspondence]
+    same = a.mask[nodes.vertex_a] == ROTATED[b.mask[nodes.vertex_b], nodes.correspondence]
     equal = np.bincount(growth.component, same, count)
     # bdtrc(k, n, r) is the probability of more than k.
     chance = bdtrc(equal - 3, vertices - 2, max(x.equal for x in alike))

@@ -6,11 +6,12 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import compress, pairwise
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
 from ...topology.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from ...topology.columns import take
 from ...topology.digits import BITS
 from ...topology.se2 import apply, compose, fit_groups, fit_rigid, wrap
 from .atlas import Atlas, Lanes, cuts
@@ -18,21 +19,22 @@ from .conflicts import NO_CONFLICTS, Conflicts, conflicts
 from .growth import Grown, grow, ungrown
 from .links import Links, Seed, candidate_links, seeds
 from .mirror import mirrored
-from .prepare import Prepared, prepare
+from .prepare import Prepared, as_points, prepare
 from .settings import MATCH, RobustSettings
 from .support import NO_SUPPORT, Support, supports
 from .view_evidence import (
-    MOST,
+    JUDGE_PAIRS,
     NO_VIEW_EVIDENCE,
+    Overlap,
     ViewEvidence,
-    judged,
-    laid,
-    refined,
+    overlaps,
+    refine,
     repeats,
     revisits,
+    view_evidence,
     worth_judging,
 )
-from .view_search import KEPT, Picture, pictured, placements
+from .view_search import CACHED_MAPS, Picture, pictured, placements
 
 T = TypeVar("T")
 
@@ -43,12 +45,12 @@ class Candidate:
 
     transform: (3,) T_a_b; a, b: (k,) matched vertices; turn: (k,) local rotation b → a at each, as
     unit numbers; support, conflicts: evidence for and against; tested_bits: log2 of the number of
-    hypotheses tested; bits: log2 odds against chance, the first minus the other two; rmse_m: of the
-    matched junctions; rival: whether it grew from a hypothesis that is not to be merged (`Seed`);
-    searched: whether contradictions were looked for, which is done where the rest is beyond chance
-    and where views may make it so; views: what the views of both say, which is part of `bits`;
-    by_views: whether they proposed it; image_bits: evidence of the best alignment of a with the
-    mirror image of b, -inf without one or if it was not looked for.
+    hypotheses tested; bits: log2 odds against chance, by support, conflicts, tested_bits and views;
+    rmse_m: of the matched junctions; rival: whether it grew from a hypothesis that is not to be
+    merged (`Seed`); searched: whether contradictions were looked for, which is done where the
+    support is beyond chance or both maps have views; views: evidence of the views; by_views:
+    whether views proposed it; image_bits: evidence of the best alignment of a with the mirror image
+    of b, -inf without one or if it was not looked for.
     """
 
     transform: FloatArray
@@ -71,7 +73,7 @@ class Candidate:
 
     @property
     def witnesses(self) -> float:
-        """Matched junctions, and as how many the parts of the overlap weigh where views agree."""
+        """Number of matched junctions, plus what the agreeing parts of the views are worth."""
         return len(self.a) + self.views.junctions
 
     @property
@@ -96,14 +98,19 @@ class Candidate:
         and angles together), so that their sum overstates the evidence; every contradiction needs a
         fault of its own, so that each counts in full.
         """
-        against, seen = self.contradicting_bits, self.views.total + self.views.against
-        told = self.bits + against - seen
-        return min(told, MATCH.junction_bits * len(self)) + seen - against
+        against, by_views = self.contradicting_bits, self.views.total + self.views.against
+        agreement = self.bits + against - by_views
+        return min(agreement, MATCH.junction_bits * len(self)) + by_views - against
 
     def move(self, z: complex) -> complex:
         """Position in a of a point x + iy of b."""
-        x, y, theta = self.transform.tolist()
-        return complex(x + 1j * y + np.exp(1j * theta) * z)
+        return complex(moved(self.transform, z))
+
+
+def moved(pose: FloatArray, z: ComplexArray | complex) -> ComplexArray:
+    """Points z, x + iy [m], moved by a pose (3,)."""
+    x, y, theta = pose.tolist()
+    return np.asarray(np.exp(1j * theta) * z + (x + 1j * y))
 
 
 NO_JUNCTIONS = Candidate(
@@ -120,8 +127,14 @@ NO_JUNCTIONS = Candidate(
 )
 """A placement that views propose and that lays no junctions over each other."""
 
-Hypothesised = tuple[Prepared, Prepared, Sequence[Seed], int]
-"""Two maps, hypotheses of their alignment, and the number of links that these were chosen from."""
+
+class Hypotheses(NamedTuple):
+    """Two maps, hypotheses of their alignment, and the number of links these were chosen from."""
+
+    a: Prepared
+    b: Prepared
+    seeds: Sequence[Seed]
+    tested: int
 
 
 def match(
@@ -143,97 +156,102 @@ def match_all(
     pairs: Iterable[tuple[Prepared, Prepared]], settings: RobustSettings, *, thorough: bool = False
 ) -> Iterator[tuple[Candidate, ...]]:
     """`match` for many pairs, each as if it were alone, in batches of `most_pairs` links."""
-    sown = (_sown(a, b, settings) for a, b in pairs)
-    for some in _batches(sown, lambda case: len(case[1]), MATCH.most_pairs):
-        yield from _match_some(some, settings, thorough=thorough)
+    cases = (_best_hypotheses(a, b, settings) for a, b in pairs)
+    for batch in _batches(cases, lambda case: len(case[1]), MATCH.most_pairs):
+        yield from _match_batch(batch, settings, thorough=thorough)
 
 
-def _sown(a: Prepared, b: Prepared, settings: RobustSettings) -> tuple[Hypothesised, Links]:
+def _best_hypotheses(
+    a: Prepared, b: Prepared, settings: RobustSettings
+) -> tuple[Hypotheses, Links]:
     """Two maps with their best hypotheses, and the links that these were chosen from."""
     links = candidate_links(a, b)
-    return (a, b, seeds(a, b, links, settings.hypotheses), len(links)), links
+    return Hypotheses(a, b, seeds(a, b, links, settings.hypotheses), len(links)), links
 
 
 def _batches(items: Iterable[T], size: Callable[[T], int], most: int) -> Iterator[list[T]]:
     """The items in lists, each as soon as it reaches a size, and the rest."""
-    some: list[T] = []
+    batch: list[T] = []
     total = 0
     for item in items:
-        some.append(item)
+        batch.append(item)
         total += size(item)
         if total >= most:
-            yield some
-            some, total = [], 0
-    yield some
+            yield batch
+            batch, total = [], 0
+    yield batch
 
 
-def _match_some(
-    some: Sequence[tuple[Hypothesised, Links]], settings: RobustSettings, *, thorough: bool
+def _match_batch(
+    batch: Sequence[tuple[Hypotheses, Links]], settings: RobustSettings, *, thorough: bool
 ) -> Iterator[tuple[Candidate, ...]]:
-    pairs = [case[:2] for case, _ in some]
-    best = list(best_of_all((case for case, _ in some), settings))
-    wanted = [thorough or not any(c.bits > MATCH.lead_bits for c in own) for own in best]
-    asked = (_rivals(case, links, settings) for case, links in compress(some, wanted))
-    others = best_of_all(asked, settings)
-    turned = (_sown(a, _image(b), settings)[0] for a, b in pairs if thorough)
-    images = best_of_all(turned, settings)
-    for (a, b), own, more in zip(pairs, best, wanted, strict=True):
-        found = _with_views(a, b, _apart([*own, *next(others)], b) if more else own, settings)
+    best = list(evaluate_all((case for case, _ in batch), settings))
+    needs_rivals = [thorough or not any(c.bits > MATCH.lead_bits for c in found) for found in best]
+    rivals = evaluate_all(
+        (_rivals(case, links, settings) for case, links in compress(batch, needs_rivals)), settings
+    )
+    mirrored_cases = (
+        _best_hypotheses(case.a, _image(case.b), settings)[0] for case, _ in batch if thorough
+    )
+    images = evaluate_all(mirrored_cases, settings)
+    for (case, _), found, has_rivals in zip(batch, best, needs_rivals, strict=True):
+        candidates = _distinct([*found, *next(rivals)], case.b) if has_rivals else found
+        candidates = _with_views(case.a, case.b, candidates, settings)
         if thorough:
             bits = max((c.bits for c in next(images)), default=-np.inf)
-            found = tuple(replace(c, image_bits=bits) for c in found)
-        yield found
+            candidates = tuple(replace(c, image_bits=bits) for c in candidates)
+        yield candidates
 
 
-@lru_cache(maxsize=KEPT)
+@lru_cache(maxsize=CACHED_MAPS)
 def _image(m: Prepared) -> Prepared:
     """The mirror image of a map, without views."""
     return prepare(mirrored(m.topomap))
 
 
-def _both_seen(a: Prepared, b: Prepared) -> bool:
+def _both_have_views(a: Prepared, b: Prepared) -> bool:
     return len(a.views) > 0 and len(b.views) > 0
 
 
-def _rivals(case: Hypothesised, links: Links, settings: RobustSettings) -> Hypothesised:
+def _rivals(case: Hypotheses, links: Links, settings: RobustSettings) -> Hypotheses:
     """The other hypotheses beyond chance. They are not merged: of so many, one fits too easily."""
-    a, b, first, tested = case
+    a, b, best, tested = case
     beyond = float(np.log2(tested + 1.0)) + MATCH.lead_bits
-    every = seeds(a, b, links, settings.hypotheses, rival_bits=beyond, first=first)
-    return a, b, [seed for seed in every if seed.rival], tested
+    known = seeds(a, b, links, settings.hypotheses, rival_bits=beyond, first=best)
+    return case._replace(seeds=[seed for seed in known if seed.rival])
 
 
-def best_of_all(
-    cases: Iterable[Hypothesised], settings: RobustSettings
+def evaluate_all(
+    cases: Iterable[Hypotheses], settings: RobustSettings
 ) -> Iterator[tuple[Candidate, ...]]:
-    """Hypotheses of many pairs of maps grown and evaluated, in batches that fit the processor's
+    """The candidates of many pairs of maps: their hypotheses, grown in batches that fit the
     cache."""
-    for some in _batches(cases, lambda case: len(case[1]) * len(case[2]), MATCH.at_once):
-        yield from _best_of_some(some, settings)
+    for batch in _batches(cases, lambda case: len(case.b) * len(case.seeds), MATCH.at_once):
+        yield from _evaluate_batch(batch, settings)
 
 
-def _best_of_some(
-    cases: Sequence[Hypothesised], settings: RobustSettings
+def _evaluate_batch(
+    cases: Sequence[Hypotheses], settings: RobustSettings
 ) -> Iterator[tuple[Candidate, ...]]:
     found: list[list[Candidate]] = [[] for _ in cases]
-    if any(case[2] for case in cases):
-        sown = [seed for case in cases for seed in case[2]]
-        grown = grow(_lanes(cases), sown, settings)
-        of = np.arange(len(cases)).repeat([len(case[2]) for case in cases])
-        tested_bits = np.log2(np.array([case[3] for case in cases]) + 1.0)
-        seen = np.array([_both_seen(a, b) for a, b, _, _ in cases])
-        judged = _judged(grown, tested_bits[of], search=seen[of])
-        for case, seed, candidate in zip(of.tolist(), sown, judged, strict=True):
+    if any(case.seeds for case in cases):
+        all_seeds = [seed for case in cases for seed in case.seeds]
+        grown = grow(_lanes(cases), all_seeds, settings)
+        owner = np.arange(len(cases)).repeat([len(case.seeds) for case in cases])
+        tested_bits = np.log2(np.array([case.tested for case in cases]) + 1.0)
+        have_views = np.array([_both_have_views(case.a, case.b) for case in cases])
+        candidates = _candidates(grown, tested_bits[owner], search=have_views[owner])
+        for k, seed, candidate in zip(owner.tolist(), all_seeds, candidates, strict=True):
             if candidate is not None:
-                found[case].append(replace(candidate, rival=seed.rival))
-    for (_, b, _, _), several in zip(cases, found, strict=True):
-        yield _apart(several, b)
+                found[k].append(replace(candidate, rival=seed.rival))
+    for case, candidates_of_case in zip(cases, found, strict=True):
+        yield _distinct(candidates_of_case, case.b)
 
 
-def _apart(found: list[Candidate], b: Prepared) -> tuple[Candidate, ...]:
-    """Candidates, best first, keeping of each placement the best one that is not a rival."""
+def _distinct(candidates: Iterable[Candidate], b: Prepared) -> tuple[Candidate, ...]:
+    """Candidates, best first; for each placement the best one that is not a rival."""
     kept: list[Candidate] = []
-    for candidate in sorted(found, key=lambda c: (c.rival, _rank(c))):
+    for candidate in sorted(candidates, key=lambda c: (c.rival, _rank(c))):
         if not any(same_placement(candidate, other, b) for other in kept):
             kept.append(candidate)
     return tuple(sorted(kept, key=_rank))
@@ -243,27 +261,21 @@ def _rank(c: Candidate) -> tuple[float, list[float]]:
     return -round(c.bits, BITS), c.transform.tolist()
 
 
-def _lanes(cases: Sequence[Hypothesised]) -> Lanes:
+def _lanes(cases: Sequence[Hypotheses]) -> Lanes:
     """A lane for every hypothesis."""
-    growing = [case for case in cases if case[2]]
-    each = [(a, b) for a, b, found, _ in growing for _ in found]
-    number: dict[int, int] = {}
-    rows = [[number.setdefault(id(m), len(number)) for m in pair] for pair in each]
-    maps = {id(m): m for pair in each for m in pair}
-    whole = Atlas.of([maps[key] for key in number])
-    of_a, of_b = np.array(rows).T
-    return Lanes.of(whole, whole, of_a, of_b)
+    pairs = [(case.a, case.b) for case in cases for _ in case.seeds]
+    atlas, rows = Atlas.of_pairs(pairs)
+    return Lanes.of(atlas, atlas, *rows.T)
 
 
-def as_sown(case: Hypothesised) -> list[Candidate]:
+def ungrown_candidates(case: Hypotheses) -> list[Candidate]:
     """Hypotheses of two junctions or more as candidates, without growth."""
-    _, _, hypotheses, tested = case
-    tested_bits = np.full(len(hypotheses), np.log2(tested + 1.0))
-    told = _judged(ungrown(_lanes([case]), hypotheses), tested_bits, search=False)
-    return [candidate for candidate in told if candidate is not None]
+    tested_bits = np.full(len(case.seeds), np.log2(case.tested + 1.0))
+    candidates = _candidates(ungrown(_lanes([case]), case.seeds), tested_bits, search=False)
+    return [candidate for candidate in candidates if candidate is not None]
 
 
-def _judged(
+def _candidates(
     grown: Grown, tested_bits: FloatArray, *, search: BoolArray | bool
 ) -> list[Candidate | None]:
     """The candidate of each lane with its evidence; None where nothing is matched. search: lanes
@@ -271,43 +283,43 @@ def _judged(
     lanes = grown.lanes
     if not len(grown.row):
         return [None] * len(lanes)
-    agree = supports(grown)
-    bits = np.array([s.bits for s in agree]) - tested_bits
+    support = supports(grown)
+    bits = np.array([s.bits for s in support]) - tested_bits
     first = cuts(grown.lane, len(lanes))
     searched = (bits > MATCH.lead_bits) | search
     against = conflicts(grown, searched)
     a = grown.a - lanes.a.vertex[lanes.of_a[grown.lane]]
     b = grown.b - lanes.b.vertex[lanes.of_b[grown.lane]]
     turn = grown.turn[grown.row]
-    transform, rmse = _laid_over_each(grown)
-    out: list[Candidate | None] = [None] * len(lanes)
+    transform, rmse = _fit_lanes(grown)
+    candidates: list[Candidate | None] = [None] * len(lanes)
     for k, (start, stop) in enumerate(pairwise(first)):
         if stop > start:
-            out[k] = Candidate(
+            candidates[k] = Candidate(
                 transform=transform[k],
                 a=a[start:stop],
                 b=b[start:stop],
                 turn=turn[start:stop],
-                support=agree[k],
+                support=support[k],
                 conflicts=against[k],
                 tested_bits=float(tested_bits[k]),
                 bits=float(bits[k] - against[k].bits),
                 rmse_m=float(rmse[k]),
                 searched=bool(searched[k]),
             )
-    return out
+    return candidates
 
 
-def _laid_over_each(grown: Grown) -> tuple[FloatArray, FloatArray]:
-    """`laid_over` of every lane; zeros for lanes without a match."""
+def _fit_lanes(grown: Grown) -> tuple[FloatArray, FloatArray]:
+    """`fit_matches` of every lane, (l, 3) and (l,); zeros for lanes without a match."""
     lanes, count = grown.lanes, len(grown.lanes)
     transform, rmse = np.zeros((count, 3)), np.zeros(count)
-    pa, pb = _points(lanes.a.whole.z[grown.a]), _points(lanes.b.whole.z[grown.b])
-    some, group = np.unique(grown.lane, return_inverse=True)
-    transform[some] = fit_groups(pa, pb, group, np.ones(len(group)))
-    off = pa - apply(transform[grown.lane], pb)
-    squared = np.bincount(group, (off * off).sum(axis=1))
-    rmse[some] = np.sqrt(squared / np.bincount(group))
+    pa, pb = as_points(lanes.a.whole.z[grown.a]), as_points(lanes.b.whole.z[grown.b])
+    matched, group = np.unique(grown.lane, return_inverse=True)
+    transform[matched] = fit_groups(pa, pb, group, np.ones(len(group)))
+    residual = pa - apply(transform[grown.lane], pb)
+    squared = np.bincount(group, (residual * residual).sum(axis=1))
+    rmse[matched] = np.sqrt(squared / np.bincount(group))
     return transform, rmse
 
 
@@ -315,144 +327,165 @@ def _laid_over_each(grown: Grown) -> tuple[FloatArray, FloatArray]:
 
 
 def _with_views(
-    a: Prepared, b: Prepared, found: tuple[Candidate, ...], settings: RobustSettings
+    a: Prepared, b: Prepared, candidates: tuple[Candidate, ...], settings: RobustSettings
 ) -> tuple[Candidate, ...]:
-    """The candidates of two maps with what their views say of them, and those that the views
-    propose; as they are for maps without views."""
-    if not _both_seen(a, b):
-        return found
-    one, two = pictured(a.views), pictured(b.views)
-    asked = refined(one, two, placements(one, two))
-    likely = [T for T, some in asked if worth_judging(some)][: settings.hypotheses]
-    told = [_told_of(c, a, b, two) for c in found]
-    chosen = {k for k, c in enumerate(found) if c.bits > MATCH.lead_bits}
-    fresh = []
+    """The candidates of two maps with the evidence of their views, and those that the views
+    propose; unchanged for maps without views."""
+    if not _both_have_views(a, b):
+        return candidates
+    seen_a, seen_b = pictured(a.views), pictured(b.views)
+    refined = refine(seen_a, seen_b, placements(seen_a, seen_b))
+    likely = [T for T, overlap in refined if worth_judging(overlap)][: settings.hypotheses]
+    poses = [_bent_poses(c, a, b, seen_b) for c in candidates]
+    chosen = {k for k, c in enumerate(candidates) if c.bits > MATCH.lead_bits}
+    proposed = []
     for T in likely:
-        known = [k for k, pose in enumerate(told) if _same_poses(pose, compose(T, two.pose))]
-        chosen.update(known[:1])
-        fresh += [] if known else [T]
-    if not fresh and not chosen:
-        return found
+        placed_alike = [k for k, p in enumerate(poses) if _alike(p, compose(T, seen_b.pose))]
+        chosen.update(placed_alike[:1])
+        proposed += [] if placed_alike else [T]
+    if not proposed and not chosen:
+        return candidates
     rows = sorted(chosen)
-    every = laid(one, two, [told[k] for k in rows], MOST)
-    cases = [(found[k], told[k], here) for k, here in zip(rows, every, strict=True)]
+    judged = overlaps(seen_a, seen_b, [poses[k] for k in rows], JUDGE_PAIRS)
+    cases = [(candidates[k], poses[k], overlap) for k, overlap in zip(rows, judged, strict=True)]
+    cases += _proposed_by_views(a, b, proposed, settings)
+    placed = [(compose(T, seen_b.pose), overlap) for T, overlap in refined]
+    placed += [(compose(c.transform, seen_b.pose), overlap) for c, _, overlap in cases]
+    revisit_z = np.concatenate([revisits(a.views), revisits(b.views)])
+    repeats_of_both = repeats(a.views), repeats(b.views)
+    out = [c for k, c in enumerate(candidates) if k not in chosen]
+    for c, pose, overlap in cases:
+        others = [other for other_pose, other in placed if not _alike(pose, other_pose)]
+        evidence = view_evidence(overlap, others, repeats_of_both, revisit_z)
+        away_a = np.abs(a.z[:, None] - seen_a.place[evidence.first])
+        away_b = np.abs(b.z[:, None] - seen_b.place[evidence.second])
+        out.append(_with_evidence(c, evidence, away_a, away_b))
+    return _distinct(out, b)
+
+
+def _bent_poses(c: Candidate, a: Prepared, b: Prepared, seen_b: Picture) -> FloatArray:
+    """(n, 3) poses of the views of b in the frame of a, by the local rotation and shift of the
+    nearest matched junction of a candidate."""
+    nearest = np.abs(seen_b.place[:, None] - b.z[c.b]).argmin(axis=1)
+    junction, turn = b.z[c.b][nearest], c.turn[nearest]
+    placed = a.z[c.a][nearest] + turn * (seen_b.place - junction)
+    return np.column_stack([placed.real, placed.imag, seen_b.pose[:, 2] + np.angle(turn)])
+
+
+def _alike(poses: FloatArray, others: FloatArray) -> bool:
+    """Whether two placements lay some of the views alike. poses, others: (n, 3) of all views."""
+    near = np.hypot(*(poses - others)[:, :2].T) < MATCH.place_m
+    return bool(np.any(near & (np.abs(wrap(poses[:, 2] - others[:, 2])) < MATCH.turn_rad)))
+
+
+def _proposed_by_views(
+    a: Prepared, b: Prepared, proposed: Sequence[FloatArray], settings: RobustSettings
+) -> list[tuple[Candidate, FloatArray, Overlap]]:
+    """The candidates at proposed placements (3,), corrected twice; with the poses (n, 3) of the
+    views of b by each, and their overlap before the last correction."""
+    seen_a, seen_b = pictured(a.views), pictured(b.views)
+    found: list[Overlap] = []
     for _ in range(2):
-        every = laid(one, two, [compose(T, two.pose) for T in fresh], MOST)
-        fresh = [here.better(T) for T, here in zip(fresh, every, strict=True)]
-    for T, here in zip(fresh, every, strict=True):
-        proposed = _placed(a, b, T, settings)
-        if proposed is not None:
-            cases.append((proposed, compose(proposed.transform, two.pose), here))
-    placed = [(compose(T, two.pose), some) for T, some in asked]
-    placed += [(compose(c.transform, two.pose), here) for c, _, here in cases]
-    same = np.concatenate([revisits(a.views), revisits(b.views)])
-    selves = repeats(a.views), repeats(b.views)
-    out = [c for k, c in enumerate(found) if k not in chosen]
-    for c, pose, here in cases:
-        elsewhere = [other for there, other in placed if not _same_poses(pose, there)]
-        said = judged(here, elsewhere, selves, same)
-        of_a, of_b = (
-            said.most_against(np.abs(m.z[:, None] - picture.place[rows]))
-            for m, picture, rows in ((a, one, said.first), (b, two, said.second))
-        )
-        against = c.conflicts.at_most(of_b[c.conflicts.in_a.vertex], of_a[c.conflicts.in_b.vertex])
-        support = c.support.at_most_against(of_a[c.a])
-        bits = c.bits + said.total + c.conflicts.bits - against.bits
-        bits += support.bits - c.support.bits
-        out.append(replace(c, bits=bits, support=support, conflicts=against, views=said))
-    return _apart(out, b)
+        placed = [compose(T, seen_b.pose) for T in proposed]
+        found = overlaps(seen_a, seen_b, placed, JUDGE_PAIRS)
+        proposed = [overlap.corrected(T) for T, overlap in zip(proposed, found, strict=True)]
+    cases = []
+    for T, overlap in zip(proposed, found, strict=True):
+        candidate = _candidate_at(a, b, T, settings)
+        if candidate is not None:
+            cases.append((candidate, compose(candidate.transform, seen_b.pose), overlap))
+    return cases
 
 
-def _told_of(c: Candidate, a: Prepared, b: Prepared, two: Picture) -> FloatArray:
-    """(n, 3) poses of the views of b in the frame of a, bent as the junctions are that led to the
-    candidate."""
-    nearest = np.abs(two.place[:, None] - b.z[c.b]).argmin(axis=1)
-    mine, turn = b.z[c.b][nearest], c.turn[nearest]
-    at = a.z[c.a][nearest] + turn * (two.place - mine)
-    return np.column_stack([at.real, at.imag, two.pose[:, 2] + np.angle(turn)])
+def _with_evidence(
+    c: Candidate, evidence: ViewEvidence, away_a: FloatArray, away_b: FloatArray
+) -> Candidate:
+    """A candidate with the evidence of views, which also bounds what junctions count against it.
+
+    away_a, away_b: (n, k) distances [m] of the junctions of either map from each pair of views.
+    """
+    bound_a, bound_b = evidence.penalty_bound(away_a), evidence.penalty_bound(away_b)
+    in_a, in_b = c.conflicts.in_a.vertex, c.conflicts.in_b.vertex  # of b inside a, and the reverse
+    against = c.conflicts.bounded(bound_b[in_a], bound_a[in_b])
+    support = c.support.bounded(bound_a[c.a])
+    bits = c.bits + evidence.total + c.conflicts.bits - against.bits
+    bits += support.bits - c.support.bits
+    return replace(c, bits=bits, support=support, conflicts=against, views=evidence)
 
 
-def _same_poses(one: FloatArray, two: FloatArray) -> bool:
-    """Whether two placements lay some of the views (n, 3) alike."""
-    near = np.hypot(*(one - two)[:, :2].T) < MATCH.place_m
-    return bool(np.any(near & (np.abs(wrap(one[:, 2] - two[:, 2])) < MATCH.turn_rad)))
-
-
-def _placed(
+def _candidate_at(
     a: Prepared, b: Prepared, T_a_b: FloatArray, settings: RobustSettings
 ) -> Candidate | None:
-    """The candidate of a placement: junctions that it lays over each other, grown if they grow, or
-    none; None if they contradict it. That views chose it from many is part of what theirs is held
-    against (`judged`); the junctions had no choice."""
+    """The candidate of a placement that views propose: with the junctions that it lays over each
+    other, grown if they grow, or without any; None if their branches contradict it.
+
+    No bits are deducted for tested hypotheses: the null of `view_evidence` takes the choice among
+    many placements into account, and junctions had no choice.
+    """
     x, y, theta = T_a_b.tolist()
-    there = np.exp(1j * theta) * b.z + (x + 1j * y)
-    gap = np.abs(a.z[:, None] - there)
-    first, second = gap.argmin(axis=0), gap.argmin(axis=1)
-    pairs = np.flatnonzero(
-        (second[first] == np.arange(len(b))) & (gap.min(axis=0) < MATCH.gate_m + MATCH.crossing_m)
-    )
+    gap = np.abs(a.z[:, None] - moved(T_a_b, b.z))
+    nearest_a, nearest_b = gap.argmin(axis=0), gap.argmin(axis=1)
+    mutual = nearest_b[nearest_a] == np.arange(len(b))
+    pairs = np.flatnonzero(mutual & (gap.min(axis=0) < MATCH.gate_m + MATCH.crossing_m))
     if not len(pairs):
         return replace(NO_JUNCTIONS, transform=T_a_b)
-    seed = Seed(first[pairs], pairs, theta, x + 1j * y, 0.0)
-    lanes = _lanes([(a, b, [seed], 0)])
-    (candidate,) = _judged(grow(lanes, [seed], settings), np.zeros(1), search=True)
+    seed = Seed(nearest_a[pairs], pairs, theta, x + 1j * y, 0.0)
+    lanes = _lanes([Hypotheses(a, b, [seed], 0)])
+    (candidate,) = _candidates(grow(lanes, [seed], settings), np.zeros(1), search=True)
     if candidate is None:
-        # Junctions that lie near each other but look different are not taken for one place.
+        # Junctions that lie near each other but look different are not matched.
         alike = np.flatnonzero(ungrown(lanes, [seed]).branch >= 0)
         if not len(alike):
             return replace(NO_JUNCTIONS, transform=T_a_b)
         seed = replace(seed, a=seed.a[alike], b=seed.b[alike])
-        (candidate,) = _judged(ungrown(lanes, [seed]), np.zeros(1), search=True)
+        (candidate,) = _candidates(ungrown(lanes, [seed]), np.zeros(1), search=True)
     if candidate is None:
         return None
     return replace(candidate, transform=T_a_b, by_views=True)
 
 
-def laid_over(xy_a: FloatArray, xy_b: FloatArray) -> tuple[FloatArray, float]:
+def fit_matches(xy_a: FloatArray, xy_b: FloatArray) -> tuple[FloatArray, float]:
     """T_a_b that aligns matched junctions (§3.1), and their root mean square distance [m]. xy_a,
     xy_b: (k, 2) [m]."""
     transform = fit_rigid(xy_a, xy_b)
-    off = xy_a - apply(transform, xy_b)
-    return transform, float(np.sqrt((off * off).sum() / len(off)))
-
-
-def _points(z: ComplexArray) -> FloatArray:
-    return z.view(np.float64).reshape(-1, 2)
+    residual = xy_a - apply(transform, xy_b)
+    return transform, float(np.sqrt((residual * residual).sum() / len(residual)))
 
 
 def same_placement(x: Candidate, y: Candidate, b: Prepared) -> bool:
-    """Whether two candidates place b alike, as seen from where each of them matches, if it does."""
+    """Whether two candidates place b alike: by half of the junctions of b that both match, or, if
+    there are none, at the centroids of the junctions of b that either matches."""
     if abs(float(wrap(x.transform[2] - y.transform[2]))) > MATCH.turn_rad:
         return False
     partner = np.full(len(b), -1)
     partner[x.b] = x.a
-    mine = partner[y.b]
-    both = np.count_nonzero(mine >= 0)
+    by_x = partner[y.b]
+    both = np.count_nonzero(by_x >= 0)
     if both:
-        return bool(np.count_nonzero(mine == y.a) >= 0.5 * both)
-    one, two = (complex(b.z[c.b if len(c) else slice(None)].mean()) for c in (x, y))
-    slack = MATCH.place_m + MATCH.drift_per_m * abs(one - two)
-    return abs(x.move(one) - y.move(one)) < slack and abs(x.move(two) - y.move(two)) < slack
+        return bool(np.count_nonzero(by_x == y.a) >= 0.5 * both)
+    middle_x, middle_y = (complex(b.z[c.b if len(c) else slice(None)].mean()) for c in (x, y))
+    slack = MATCH.place_m + MATCH.drift_per_m * abs(middle_x - middle_y)
+    return all(abs(x.move(z) - y.move(z)) < slack for z in (middle_x, middle_y))
 
 
 def same_matches(x: Candidate, y: Candidate) -> bool:
-    """Whether two candidates match the same vertices, as one that was found again does."""
-    return set(zip(x.a.tolist(), x.b.tolist(), strict=True)) == set(
-        zip(y.a.tolist(), y.b.tolist(), strict=True)
-    )
+    """Whether two candidates match the same vertices."""
+    pairs_x, pairs_y = (set(zip(c.a.tolist(), c.b.tolist(), strict=True)) for c in (x, y))
+    return pairs_x == pairs_y
 
 
 def self_matches(
     maps: Iterable[Prepared], settings: RobustSettings
 ) -> Iterator[tuple[Candidate, ...]]:
     """Alignments of each map with other parts of itself: how far the building repeats itself."""
-    for found in best_of_all((_elsewhere(m, settings) for m in maps), settings):
-        yield tuple(c for c in found if np.count_nonzero(c.a == c.b) < 0.5 * len(c))
+    for candidates in evaluate_all((_self_hypotheses(m, settings) for m in maps), settings):
+        yield tuple(c for c in candidates if np.count_nonzero(c.a == c.b) < 0.5 * len(c))
 
 
-def _elsewhere(m: Prepared, settings: RobustSettings) -> Hypothesised:
+def _self_hypotheses(m: Prepared, settings: RobustSettings) -> Hypotheses:
+    """Hypotheses of alignments of a map with other parts of itself."""
     links = candidate_links(m, m)
-    one, two = m.middle[links.a_row], m.middle[links.b_row]
-    here = (np.abs(links.theta) < MATCH.turn_rad) & (np.abs(one - two) < MATCH.place_m)
-    away = Links(links.a_row[~here], links.b_row[~here], links.theta[~here], links.bits[~here])
-    return m, m, seeds(m, m, away, settings.hypotheses), len(away)
+    apart_m = np.abs(m.middle[links.a_row] - m.middle[links.b_row])
+    away = (np.abs(links.theta) >= MATCH.turn_rad) | (apart_m >= MATCH.place_m)
+    links = take(links, away)
+    return Hypotheses(m, m, seeds(m, m, links, settings.hypotheses), len(links))

@@ -20,7 +20,7 @@ from .prepare import CorridorsByEnds, Prepared
 
 OF_VERTICES = ("z", "count", "observations", "fault_rate", "descriptor", "confidence")
 OF_CORRIDORS = ("length", "sagitta", "variance", "traversals", "rarity")
-"""Arrays of `Prepared` that hold no row numbers: of vertices, and of directed corridors."""
+"""Arrays of `Prepared` without row numbers: those of vertices, and of directed corridors."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +50,14 @@ class Atlas:
             corridor=corridor,
             point=point,
         )
+
+    @classmethod
+    def of_pairs(cls, pairs: Sequence[tuple[Prepared, Prepared]]) -> tuple[Atlas, IntArray]:
+        """The distinct maps of some pairs, and the rows (k, 2) of each pair's maps."""
+        number: dict[int, int] = {}
+        rows = [[number.setdefault(id(m), len(number)) for m in pair] for pair in pairs]
+        maps = {id(m): m for pair in pairs for m in pair}
+        return cls.of([maps[key] for key in number]), np.array(rows)
 
     @cached_property
     def shows_bends(self) -> BoolArray:
@@ -94,7 +102,7 @@ def _whole(maps: Sequence[Prepared], vertex: IntArray, corridor: IntArray) -> Pr
         "turn_rarity": _wide(maps, "turn_rarity", 0.0),
         "by_branch": by_branch,
         "neighbours": replace(
-            joined(neighbours), index=moved((own.index for own in neighbours), vertex)
+            joined(neighbours), index=moved((part.index for part in neighbours), vertex)
         ),
         "tail": tail,
         "head": head,
@@ -102,9 +110,9 @@ def _whole(maps: Sequence[Prepared], vertex: IntArray, corridor: IntArray) -> Pr
         "by_ends": CorridorsByEnds(tail[row] * len(whole["z"]) + head[row], row),
         "points": replace(
             joined(points),
-            edge=moved((own.edge for own in points), corridor),
-            tail=moved((own.tail for own in points), vertex),
-            head=moved((own.head for own in points), vertex),
+            edge=moved((part.edge for part in points), corridor),
+            tail=moved((part.tail for part in points), vertex),
+            head=moved((part.head for part in points), vertex),
         ),
     }
     # Arrays that are not concatenated are left empty, so that they cannot be used by mistake.
@@ -113,26 +121,26 @@ def _whole(maps: Sequence[Prepared], vertex: IntArray, corridor: IntArray) -> Pr
     return replace(maps[0], **(nothing | whole))
 
 
-def _wide(maps: Sequence[Prepared], name: str, nothing: complex) -> NDArray[Any]:
-    """Rows of different widths, padded with `nothing`."""
-    rows = [getattr(m, name) for m in maps]
-    widest = max(some.shape[1] for some in rows)
-    out = np.full((sum(map(len, rows)), widest), nothing, rows[0].dtype)
+def _wide(maps: Sequence[Prepared], name: str, padding: complex) -> NDArray[Any]:
+    """Rows of different widths, padded to the widest."""
+    blocks = [getattr(m, name) for m in maps]
+    widest = max(block.shape[1] for block in blocks)
+    out = np.full((sum(map(len, blocks)), widest), padding, blocks[0].dtype)
     start = 0
-    for some in rows:
-        out[start : start + len(some), : some.shape[1]] = some
-        start += len(some)
+    for block in blocks:
+        out[start : start + len(block), : block.shape[1]] = block
+        start += len(block)
     return out
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lanes:
-    """l hypotheses of pairs of maps side by side, one lane each, with t rows in all: one per vertex
-    of each hypothesis's second map.
+    """l hypotheses of pairs of maps side by side, one lane each. The t rows are the second maps'
+    vertices.
 
     of_a, of_b: (l,) the two maps in the atlases a and b; first: (l + 1,) first row of each lane;
-    lane, vertex: (t,) lane and vertex of b of each row; shift: (l,) to be added to vertices of b to
-    give rows; first_a, shift_a: the same for rows of the vertices of the first maps.
+    lane, vertex: (t,) lane and vertex of b of each row; shift: (l,) row of a vertex of b, minus the
+    vertex; first_a, shift_a: the same for rows of the vertices of the first maps.
     """
 
     a: Atlas
@@ -163,13 +171,13 @@ class Lanes:
     def __len__(self) -> int:
         return len(self.of_b)
 
-    def some(self, lanes: IntArray) -> Lanes:
+    def take(self, lanes: IntArray) -> Lanes:
         """The given lanes only."""
         return Lanes.of(self.a, self.b, self.of_a[lanes], self.of_b[lanes])
 
     def rows_of(self, first: IntArray) -> tuple[IntArray, IntArray]:
-        """Lane and index of all items of some kind in the second maps; first: first item of each
-        map in the atlas."""
+        """Lane and index of all items of one kind (points, corridors) in the second maps. first:
+        first item of each map in the atlas."""
         size = np.diff(first)[self.of_b]
         lane = np.arange(len(size)).repeat(size)
         start = first[self.of_b] - np.cumsum(size) + size
@@ -186,22 +194,22 @@ class Lanes:
         """(k,) each: distance [m] from points to the nearest vertex, or point of a corridor
         (`corridors`), of the first map of their lane, and its index in the atlas.
 
-        where: (k,) x + iy in the first map; lane: (k,) ascending; within_m: one bound or one per
-        lane; farther points are only known to be farther.
+        where: (k,) x + iy [m] in the first map; lane: (k,) ascending; within_m: a bound, or one per
+        lane: of points beyond it only that is known.
         """
-        gap, found = np.empty(len(where)), np.empty(len(where), np.int64)
+        gap, index = np.empty(len(where)), np.empty(len(where), np.int64)
         stops = np.cumsum(np.bincount(lane, minlength=len(self))).tolist()
         bounds = np.broadcast_to(within_m, len(stops)).tolist()
-        base = (self.a.point if corridors else self.a.vertex)[self.of_a].tolist()
+        first_index = (self.a.point if corridors else self.a.vertex)[self.of_a].tolist()
         start = 0
-        for k, (stop, number) in enumerate(zip(stops, self.of_a.tolist(), strict=True)):
+        for k, (stop, map_number) in enumerate(zip(stops, self.of_a.tolist(), strict=True)):
             if stop > start:
-                topomap = self.a.maps[number]
+                topomap = self.a.maps[map_number]
                 points = topomap.nearest_point if corridors else topomap.nearest_junction
-                gap[start:stop], index = points.nearest(where[start:stop], bounds[k])
-                np.add(index, base[k], out=found[start:stop])
+                gap[start:stop], nearest = points.nearest(where[start:stop], bounds[k])
+                np.add(nearest, first_index[k], out=index[start:stop])
             start = stop
-        return gap, found
+        return gap, index
 
 
 def cuts(lane: IntArray, lanes: int) -> list[int]:

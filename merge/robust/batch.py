@@ -13,89 +13,87 @@ from ...topology.arrays import FloatArray, IntArray
 from ...topology.topomap import TopoMap
 from ..result import PairVerdict, Verdict, pairs_of
 from .alignment import Candidate
-from .components import ELSEWHERE, Components, Refusal, agrees, as_alignment, lying_over
+from .components import ELSEWHERE, Components, Refusal, agrees, as_alignment, overlapping_pairs
 from .entries import Case
 from .pairing import Means, Pair, Pairwise, Summary, tile_order
 from .prepare import Prepared
-from .repetition import sameness_of
+from .repetition import sameness
 from .screening import pairs_to_match
 from .settings import MATCH, RobustSettings
 from .thresholds import ThresholdOf, thresholds
-from .verdict import Assessment, assess_all
+from .verdict import Assessment, Matched, assess_all
 
 
 @dataclass(eq=False)
 class Batch:
     """The matches between the maps of a batch, and the verdicts on pairs by their two maps alone.
 
-    locked, discarded: pairs named by a lock, and those whose match the user discarded. found:
-    result of matching, in short; verdicts: on each of these pairs. Assessments with all candidates
-    would fill the memory: they are made again for the few pairs that other runs concern.
+    locked, discarded: pairs named by a lock, and those whose match the user discarded; summaries:
+    results of matching, of all pairs that were matched; verdicts: on each of these pairs.
+    Assessments would fill the memory: the few that are needed later are made again.
     """
 
     matcher: Pairwise
     locked: Collection[Pair] = ()
     discarded: Collection[Pair] = ()
-    found: dict[Pair, Summary] = field(default_factory=dict)
+    summaries: dict[Pair, Summary] = field(default_factory=dict)
     verdicts: dict[Pair, PairVerdict] = field(default_factory=dict)
 
     def match_likely(self) -> None:
         """Match all pairs of a small batch; of a large one those that pass screening, and those
-        that a person named."""
-        named = {*self.locked, *self.discarded}
-        wanted = wanted_pairs(self.matcher, named)
+        that a lock or a discarded match names."""
+        pairs = pairs_to_match_in(self.matcher, {*self.locked, *self.discarded})
         runs = len(self.matcher.maps)
-        self.say(f"{runs} maps, {len(wanted)} of {pairs_of(runs)} pairs to match")
-        self.match(wanted)
+        self.log(f"{runs} maps, {len(pairs)} of {pairs_of(runs)} pairs to match")
+        self.match(pairs)
 
-    def match(self, wanted: IntArray) -> None:
+    def match(self, pairs: IntArray) -> None:
         """Match (k, 2) pairs and assess them."""
-        results = self.matcher.pairs(wanted)
-        found = {(i, j): short for (i, j), short in zip(wanted.tolist(), results, strict=True)}
-        found |= {pair: Summary() for pair in self.discarded if pair in found}
-        self.found.update(found)
-        for some in in_parts(list(found)):
-            for pair, assessment in self.assessments(some).items():
+        summaries = dict(zip(map(tuple, pairs.tolist()), self.matcher.pairs(pairs), strict=True))
+        summaries |= {pair: Summary() for pair in self.discarded if pair in summaries}
+        self.summaries.update(summaries)
+        for batch in in_batches(list(summaries)):
+            for pair, assessment in self.assessments(batch).items():
                 self.verdicts[pair] = Case(*self.prepared(pair), assessment).verdict()
 
     def prepared(self, pair: Pair) -> tuple[Prepared, Prepared]:
         """The two maps of a pair."""
         return self.matcher.prepared[pair[0]], self.matcher.prepared[pair[1]]
 
-    def say(self, text: str) -> None:
+    def log(self, text: str) -> None:
         """Report an event."""
-        self.matcher.means.say(text)
+        self.matcher.means.log(text)
 
     @cached_property
     def threshold(self) -> ThresholdOf:
-        """The thresholds, given the pairs that were matched first."""
-        against_chance = {pair: short.against_chance for pair, short in self.found.items()}
+        """The thresholds, by the pairs that were matched first."""
+        against_chance = {pair: summary.against_chance for pair, summary in self.summaries.items()}
         prepared, settings = self.matcher.prepared, self.matcher.settings
         return thresholds(prepared, settings, against_chance, self.matcher.with_themselves())
 
     def assessments(self, pairs: Sequence[Pair]) -> dict[Pair, Assessment]:
-        """Assessments of pairs by their two maps alone. Those that would be merged must lead every
-        other hypothesis beyond chance, and the mirror image."""
-        known = self.candidates(pairs)
-        out = self._assessed({pair: known.get(pair, ()) for pair in pairs})
-        for pair, assessment in out.items():
-            faint = self.found[pair].faint or assessment.faint
-            out[pair] = replace(assessment, faint=faint, discarded=pair in self.discarded)
-        merged = [pair for pair, assessment in out.items() if assessment.verdict is Verdict.MERGED]
+        """Assessments of pairs by their two maps alone. Those that would be merged are assessed
+        again, against every other hypothesis beyond chance and the mirror image."""
+        candidates = self.candidates(pairs)
+        assessments = self._assess({pair: candidates.get(pair, ()) for pair in pairs})
+        for pair, assessment in assessments.items():
+            faint = self.summaries[pair].faint or assessment.faint
+            assessments[pair] = replace(assessment, faint=faint, discarded=pair in self.discarded)
+        merged = [pair for pair, found in assessments.items() if found.verdict is Verdict.MERGED]
         thorough = self.matcher.thorough(_rows(merged))
-        return out | self._assessed(dict(zip(merged, thorough, strict=True)))
+        return assessments | self._assess(dict(zip(merged, thorough, strict=True)))
 
-    def _assessed(self, candidates: Mapping[Pair, tuple[Candidate, ...]]) -> dict[Pair, Assessment]:
-        """The assessment of each pair by these candidates."""
+    def _assess(self, candidates: Mapping[Pair, tuple[Candidate, ...]]) -> dict[Pair, Assessment]:
+        """The assessment of each pair by the given candidates."""
         cases = [
-            (*self.prepared(pair), found, self.threshold(pair))
+            Matched(*self.prepared(pair), found, self.threshold(pair))
             for pair, found in candidates.items()
         ]
         return dict(zip(candidates, assess_all(cases), strict=True))
 
     def candidates(self, pairs: Iterable[Pair]) -> dict[Pair, tuple[Candidate, ...]]:
-        """The candidates of those of the pairs that have any beyond chance."""
-        full = [pair for pair in pairs if self.found[pair].full]
+        """The candidates of the pairs; pairs without any beyond chance are left out."""
+        full = [pair for pair in pairs if self.summaries[pair].full]
         return dict(zip(full, self.matcher.candidates(_rows(full)), strict=True))
 
     @property
@@ -104,14 +102,14 @@ class Batch:
         return {pair: v for pair, v in self.verdicts.items() if pair not in self.locked}
 
     def corroborated(self, pairs: Iterable[Pair], components: Components) -> dict[Pair, Candidate]:
-        """Pairs of one component with a candidate that agrees with where other runs place the two:
-        the first such candidate. Pairs without one are left out."""
+        """For pairs of one component the first candidate that agrees with the placement by other
+        runs; pairs without one are left out."""
         together = [pair for pair in pairs if components.together(*pair)]
-        found = {
+        agreeing = {
             (i, j): self._agreeing(candidates, components.relative(i, j), j)
             for (i, j), candidates in self.candidates(together).items()
         }
-        return {pair: c for pair, c in found.items() if c is not None}
+        return {pair: c for pair, c in agreeing.items() if c is not None}
 
     def _agreeing(
         self, candidates: Iterable[Candidate], T_i_j: FloatArray, j: int
@@ -123,16 +121,17 @@ class Batch:
     def same_place_bits(self, pairs: Sequence[Pair]) -> list[float]:
         """Evidence that the alignments of merged pairs are not copies [bits], without those of
         pairs that a lock names."""
+        unlocked = [pair for pair in pairs if pair not in self.locked]
         cases = []
-        for pair, found in self.candidates(p for p in pairs if p not in self.locked).items():
+        for pair, candidates in self.candidates(unlocked).items():
             best = self.verdicts[pair].best
             assert best is not None
-            chosen = self._agreeing(found, best.transform, pair[1])
+            chosen = self._agreeing(candidates, best.transform, pair[1])
             cases += [] if chosen is None else [(*self.prepared(pair), chosen)]
         if not cases:
             return []
         copies = self.threshold(sorted({k for pair in pairs for k in pair})).copies
-        return [same.bits for same in sameness_of(cases, copies)]
+        return [same.bits for same in sameness(cases, copies)]
 
     def plausible(self) -> list[Pair]:
         """Pairs with a placement better than chance, merged or not."""
@@ -146,19 +145,19 @@ class Batch:
         self, components: Components, joined: Iterable[Pair]
     ) -> dict[Pair, Refusal]:
         """Match the pairs that were screened out and now overlap, or were joined by their
-        components; refused are those that are merged by themselves with another placement."""
+        components. Returns the refusals of those merged elsewhere."""
         places = self.matcher.places
-        if len(self.found) == pairs_of(len(places)):
+        if len(self.summaries) == pairs_of(len(places)):
             return {}
-        over = {*lying_over(components, places), *joined}
-        fresh = sorted(p for p in over if p not in self.found)
-        self.match(_rows(fresh))
-        out = {}
-        for i, j in fresh:
-            found = self.verdicts[i, j].best if self.verdicts[i, j].accepted else None
-            if found is not None and not agrees(found, components.relative(i, j), places[j]):
-                out[i, j] = ELSEWHERE
-        return out
+        overlapping = {*overlapping_pairs(components, places), *joined}
+        unmatched = sorted(pair for pair in overlapping if pair not in self.summaries)
+        self.match(_rows(unmatched))
+        refused = {}
+        for i, j in unmatched:
+            best = self.verdicts[i, j].best if self.verdicts[i, j].accepted else None
+            if best is not None and not agrees(best, components.relative(i, j), places[j]):
+                refused[i, j] = ELSEWHERE
+        return refused
 
 
 def _rows(pairs: Sequence[Pair]) -> IntArray:
@@ -166,14 +165,13 @@ def _rows(pairs: Sequence[Pair]) -> IntArray:
     return np.array(pairs, np.int64).reshape(-1, 2)
 
 
-def in_parts(pairs: Sequence[Pair]) -> Iterator[Sequence[Pair]]:
-    """The pairs, as many as are assessed at once."""
+def in_batches(pairs: Sequence[Pair]) -> Iterator[Sequence[Pair]]:
+    """The pairs in batches of `MATCH.at_once`."""
     return (pairs[k : k + MATCH.at_once] for k in range(0, len(pairs), MATCH.at_once))
 
 
-def wanted_pairs(matcher: Pairwise, named: Iterable[Pair] = ()) -> IntArray:
-    """(k, 2) pairs to be matched: all of a small batch; of a large one those that pass screening,
-    and those named by locks."""
+def pairs_to_match_in(matcher: Pairwise, named: Iterable[Pair] = ()) -> IntArray:
+    """(k, 2) pairs of a batch to be matched: `pairs_to_match`, and the named ones."""
     likely = pairs_to_match(matcher.prepared, matcher.settings)
     return np.unique(np.concatenate([likely, _rows(sorted(named))]), axis=0)
 
@@ -183,7 +181,7 @@ def match_shard(
 ) -> int:
     """Match the i-th of n shares of the pairs (i from 1 on) for the store; returns their number."""
     matcher = Pairwise(sorted(maps, key=lambda m: m.run), settings, means)
-    wanted = wanted_pairs(matcher)
-    mine = np.array_split(wanted[tile_order(wanted)], share[1])[share[0] - 1]
-    matcher.pairs(mine)
-    return len(mine)
+    pairs = pairs_to_match_in(matcher)
+    of_share = np.array_split(pairs[tile_order(pairs)], share[1])[share[0] - 1]
+    matcher.pairs(of_share)
+    return len(of_share)

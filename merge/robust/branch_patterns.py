@@ -21,42 +21,42 @@ LENGTH_SCALE = 2 * LIKELIHOOD.longest_m
 def branch_offsets(
     heading: FloatArray, count: IntArray, tail: IntArray, leave: IntArray, angle: FloatArray
 ) -> FloatArray:
-    """(k, d) angle [rad] from the branch by which each corridor leaves to the other branches
-    there."""
-    used = np.where(leave == NO_BRANCH, angle, heading[tail, np.maximum(leave, 0)])
-    offset = np.asarray(wrap(heading[tail] - used[:, None]))
+    """(k, d) angle [rad] from the branch by which each corridor leaves to the other branches of its
+    tail; NaN for padding and for the branch itself."""
+    reference = np.where(leave == NO_BRANCH, angle, heading[tail, np.maximum(leave, 0)])
+    offset = np.asarray(wrap(heading[tail] - reference[:, None]))
     column = np.arange(heading.shape[1])
     other = (column < count[tail][:, None]) & (column != leave[:, None])
     return np.where(other, offset, np.nan)
 
 
 def sector_masks(offset: FloatArray) -> tuple[IntArray, IntArray]:
-    """Occupied sectors: (k,) the mask itself; (k, v) variants for branches near a border, padded by
-    -1.
+    """Masks of the sectors that branches at angles `offset` (k, d) occupy: (k,) by their nearest
+    sectors; (k, v) these and the variants for branches near a border, padded by -1.
 
-    Strategy: every branch has a first sector and, near a border, a second; the variants are the
-    choices for all subsets of the two branches nearest to a border.
+    Strategy: a branch near a border may also be in the sector beyond. The variants are the choices
+    for all subsets of the two branches nearest to a border.
     """
-    there = np.isfinite(offset)
-    offset = np.where(there, offset, 0.0)
-    turn, sector = offset / SECTOR_RAD, _sector(offset)
-    slack = np.where(there, 0.5 - np.abs(turn - np.round(turn)), np.inf) * SECTOR_RAD
-    second = (np.where(turn > np.round(turn), sector + 1, sector - 1)) % 4
-    mask = _mask_of(sector, there)
+    exists = np.isfinite(offset)
+    offset = np.where(exists, offset, 0.0)
+    quarters, sector = offset / SECTOR_RAD, _sector(offset)
+    border_rad = np.where(exists, 0.5 - np.abs(quarters - np.round(quarters)), np.inf) * SECTOR_RAD
+    alternative = (np.where(quarters > np.round(quarters), sector + 1, sector - 1)) % 4
+    mask = _mask_of(sector, exists)
     if offset.shape[1] == 0 or len(offset) == 0:
         return mask, mask[:, None]
-    worst = np.argsort(slack, axis=1, kind="stable")[:, :2]
+    nearest_border = np.argsort(border_rad, axis=1, kind="stable")[:, :2]
     variants = [mask]
     rows = np.arange(len(offset))
     for choice in ((0,), (1,), (0, 1)):
-        if max(choice) >= worst.shape[1]:
+        if max(choice) >= nearest_border.shape[1]:
             continue
-        moved, soft = sector.copy(), np.ones(len(offset), np.bool_)
-        for c in choice:
-            column = worst[:, c]
-            soft &= slack[rows, column] < MATCH.soft_rad
-            moved[rows, column] = second[rows, column]
-        variants.append(np.where(soft, _mask_of(moved, there), -1))
+        changed, is_near = sector.copy(), np.ones(len(offset), np.bool_)
+        for nth in choice:
+            column = nearest_border[:, nth]
+            is_near &= border_rad[rows, column] < MATCH.soft_rad
+            changed[rows, column] = alternative[rows, column]
+        variants.append(np.where(is_near, _mask_of(changed, exists), -1))
     return mask, np.stack(variants, axis=1)
 
 
@@ -65,19 +65,22 @@ def _sector(angle: FloatArray) -> IntArray:
     return np.asarray(np.round(angle / SECTOR_RAD).astype(np.int64) % 4)
 
 
-def _mask_of(sector: IntArray, there: BoolArray) -> IntArray:
-    """(k,) the sectors (k, d) that are occupied, as the bits of a number."""
-    return np.asarray(np.bitwise_or.reduce(np.where(there, 1 << sector, 0), axis=1))
+def _mask_of(sector: IntArray, exists: BoolArray) -> IntArray:
+    """(k,) masks of the sectors (k, d) of branches that exist (k, d): one bit a sector."""
+    return np.asarray(np.bitwise_or.reduce(np.where(exists, 1 << sector, 0), axis=1))
 
 
 def pattern_keys(
     variants: IntArray, reverse: IntArray, length: FloatArray
 ) -> tuple[FloatArray, IntArray]:
-    """Sorted keys pattern * LENGTH_SCALE + length of every variant of every directed corridor."""
+    """Sorted keys, pattern * LENGTH_SCALE + length, of all variants of directed corridors, and the
+    corridor of each. variants: (k, v) masks; reverse: (k,) row of the other direction."""
     if len(length) == 0:
         return np.zeros(0), np.zeros(0, np.int64)
-    here, there = variants[:, :, None], variants[reverse][:, None, :]
-    pattern = np.where((here >= 0) & (there >= 0), here * 16 + there, -1).reshape(len(length), -1)
+    tail_mask, head_mask = variants[:, :, None], variants[reverse][:, None, :]
+    pattern = np.where((tail_mask >= 0) & (head_mask >= 0), tail_mask * 16 + head_mask, -1).reshape(
+        len(length), -1
+    )
     row, column = np.nonzero(pattern >= 0)
     key = pattern[row, column] * LENGTH_SCALE + np.minimum(length[row], LENGTH_SCALE / 2)
     order = np.argsort(key, kind="stable")
@@ -92,22 +95,22 @@ def pattern_bits(heading: FloatArray, count: IntArray) -> tuple[FloatArray, Floa
     frequency, and so has the angle within a sector (24 smoothed bins, folded into a sector).
     """
     n, d = heading.shape
-    there = np.isfinite(heading)
+    exists = np.isfinite(heading)
     offset = np.asarray(wrap(heading[:, None, :] - heading[:, :, None]))  # (n, reference, other)
-    other = there[:, None, :] & there[:, :, None] & ~np.eye(d, dtype=np.bool_)
+    other = exists[:, None, :] & exists[:, :, None] & ~np.eye(d, dtype=np.bool_)
     offset = np.where(other, offset, 0.0)
     mask = _mask_of(_sector(offset).reshape(n * d, d), other.reshape(n * d, d))
-    used = there.reshape(-1)
-    seen = np.bincount(mask[used], minlength=16) + 0.5
-    frequency = (seen / seen.sum())[mask].reshape(n, d)
-    mean = (frequency * there).sum(axis=1) / np.maximum(count, 1)
+    exists_flat = exists.reshape(-1)
+    count_of_mask = np.bincount(mask[exists_flat], minlength=16) + 0.5
+    frequency = (count_of_mask / count_of_mask.sum())[mask].reshape(n, d)
+    mean = (frequency * exists).sum(axis=1) / np.maximum(count, 1)
     self_information = np.where(count > 0, -np.log2(np.where(count > 0, mean, 1.0)), 0.0)
     bins = 24
-    fold = (offset / SECTOR_RAD - np.round(offset / SECTOR_RAD) + 0.5) * bins
-    cell = np.clip(fold.astype(np.int64), 0, bins - 1)
-    density = np.bincount(cell[other], minlength=bins) + 1.0
+    folded = (offset / SECTOR_RAD - np.round(offset / SECTOR_RAD) + 0.5) * bins
+    bin_of = np.clip(folded.astype(np.int64), 0, bins - 1)
+    density = np.bincount(bin_of[other], minlength=bins) + 1.0
     density = (np.roll(density, 1) + 2 * density + np.roll(density, -1)) / 4
     density = density / density.sum() * bins / SECTOR_RAD
-    gain = np.where(other, -np.log(density)[cell], 0.0)
-    turn_rarity = gain.sum(axis=1) / np.maximum(other.sum(axis=1), 1)
+    rarity = np.where(other, -np.log(density)[bin_of], 0.0)
+    turn_rarity = rarity.sum(axis=1) / np.maximum(other.sum(axis=1), 1)
     return self_information, turn_rarity

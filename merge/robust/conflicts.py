@@ -1,5 +1,5 @@
-"""Evidence [bits] against a match: junctions of one run inside corridors that the other drove
-without detecting them, and corridors that lead elsewhere."""
+"""Evidence [bits] against a match: junctions inside corridors that the other run drove without
+detecting them, and corridors that lead elsewhere."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from .prepare import Prepared
 from .settings import MATCH
 
 BESIDE_M = float(np.hypot(MATCH.clear_m / 2, MATCH.gate_m))
-"""Upper bound of the distance of a point in a corridor from the nearest sample point of it [m]."""
+"""Upper bound of the distance [m] of a point in a corridor from its nearest sample."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Unseen:
-    """Vertices of one map (k,) inside directed corridors of the other (edge), undetected there, and
-    the weight of each, positive [bits]."""
+    """Vertices (k,) of one map inside directed corridors (edge) of the other, which did not detect
+    them. bits: (k,) weight of each, positive."""
 
     vertex: IntArray
     edge: IntArray
@@ -38,11 +38,11 @@ class Unseen:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Conflicts:
-    """Contradictions.
+    """The contradictions of a match.
 
-    in_a: vertices of b inside corridors of a; in_b: the reverse; elsewhere: (k, 2) directed
-    corridors of a and b that leave matched junctions by the same branch and lead to different ones;
-    elsewhere_bits: the weight of one.
+    in_a: vertices of b inside corridors of a; in_b: vertices of a inside corridors of b; elsewhere:
+    (k, 2) directed corridors of a and b that leave matched junctions by the same branch and lead to
+    different ones; elsewhere_bits: the weight of one.
     """
 
     in_a: Unseen
@@ -58,8 +58,8 @@ class Conflicts:
 
     @property
     def junctions(self) -> float:
-        """As how many junctions they weigh: each as its bits, of which `MATCH.junction_bits` are
-        one, at most one."""
+        """The number of matched junctions that they outweigh: each its bits divided by
+        `MATCH.junction_bits`, at most one."""
         unseen = np.concatenate([self.in_a.bits, self.in_b.bits]) / MATCH.junction_bits
         elsewhere = min(self.elsewhere_bits / MATCH.junction_bits, 1.0)
         return float(np.minimum(unseen, 1.0).sum()) + elsewhere * len(self.elsewhere)
@@ -67,10 +67,10 @@ class Conflicts:
     def __len__(self) -> int:
         return len(self.in_a) + len(self.in_b) + len(self.elsewhere)
 
-    def at_most(self, in_a: FloatArray, in_b: FloatArray) -> Conflicts:
-        """The same, undetected junctions with bounded weights [bits]."""
-        bounded = ((self.in_a, in_a), (self.in_b, in_b))
-        unseen = [replace(x, bits=np.minimum(x.bits, most)) for x, most in bounded]
+    def bounded(self, bound_a: FloatArray, bound_b: FloatArray) -> Conflicts:
+        """The same, with upper bounds of the weights of undetected junctions [bits]."""
+        bounded = ((self.in_a, bound_a), (self.in_b, bound_b))
+        unseen = [replace(x, bits=np.minimum(x.bits, bound)) for x, bound in bounded]
         return replace(self, in_a=unseen[0], in_b=unseen[1])
 
 
@@ -78,8 +78,7 @@ class Conflicts:
 class Contradiction:
     """A single contradiction.
 
-    of_a, of_b: the vertices of the two maps that it concerns, one or the two ends of a corridor;
-    bits: its weight, positive.
+    of_a, of_b: a vertex of either map, or the two ends of a corridor; bits: its weight, positive.
     """
 
     kind: Literal["unseen", "elsewhere"]
@@ -88,19 +87,21 @@ class Contradiction:
     bits: float
 
     def sentence(self, run_a: str, run_b: str) -> str:
-        """What contradicts the match of two runs."""
-        one, two = (" to ".join(map(str, ends)) for ends in (self.of_a, self.of_b))
+        """The contradiction in words."""
+        ends_a, ends_b = (" to ".join(map(str, ends)) for ends in (self.of_a, self.of_b))
         if self.kind == "elsewhere":
             return (
-                f"corridor {one} of {run_a} and corridor {two} of {run_b} "
+                f"corridor {ends_a} of {run_a} and corridor {ends_b} of {run_b} "
                 "leave the same junction by the same branch and lead to different ones"
             )
         if len(self.of_a) > 1:
-            one, two, run_a, run_b = two, one, run_b, run_a
-        return f"junction {one} of {run_a} falls inside corridor {two} of {run_b}, unseen there"
+            ends_a, ends_b, run_a, run_b = ends_b, ends_a, run_b, run_a
+        return (
+            f"junction {ends_a} of {run_a} falls inside corridor {ends_b} of {run_b}, unseen there"
+        )
 
 
-def one_by_one(found: Conflicts, a: Prepared, b: Prepared) -> list[Contradiction]:
+def contradictions(found: Conflicts, a: Prepared, b: Prepared) -> list[Contradiction]:
     """All contradictions of a match, undetected junctions first."""
 
     def rows(x: Unseen) -> Iterator[tuple[int, int, float]]:
@@ -125,9 +126,8 @@ NO_CONFLICTS = Conflicts(_NONE, _NONE, np.zeros((0, 2), np.int64), 0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Found:
-    """Vertices inside corridors of all lanes, numbered as in the atlases, as `Unseen`; sorted by
-    lane."""
+class _AllUnseen:
+    """`Unseen` vertices of all lanes, sorted by lane, numbered as in the atlases."""
 
     lane: IntArray
     vertex: IntArray
@@ -135,12 +135,13 @@ class _Found:
     bits: FloatArray
 
     def by_lane(self, first_vertex: IntArray, first_edge: IntArray) -> list[Unseen]:
-        """Those of each lane with a weight above 0, as its maps number them; first_vertex,
-        first_edge: (l,) first rows of its two maps."""
-        own = take(self, self.bits.nonzero()[0])
-        vertex, edge = own.vertex - first_vertex[own.lane], own.edge - first_edge[own.lane]
-        rows = starmap(slice, pairwise(cuts(own.lane, len(first_vertex))))
-        return [Unseen(vertex[k], edge[k], own.bits[k]) for k in rows]
+        """Those of each lane with a weight above 0, numbered as in its maps. first_vertex,
+        first_edge: (l,) first rows of its two maps in the atlases."""
+        positive = take(self, self.bits.nonzero()[0])
+        vertex = positive.vertex - first_vertex[positive.lane]
+        edge = positive.edge - first_edge[positive.lane]
+        slices = starmap(slice, pairwise(cuts(positive.lane, len(first_vertex))))
+        return [Unseen(vertex[k], edge[k], positive.bits[k]) for k in slices]
 
 
 def conflicts(grown: Grown, searched: BoolArray) -> list[Conflicts]:
@@ -151,53 +152,51 @@ def conflicts(grown: Grown, searched: BoolArray) -> list[Conflicts]:
     """
     lanes = grown.lanes
     near = (grown.support_m < MATCH.near_m) & searched[lanes.lane]
-    extra_b, extra_a = _extra_b(grown, near), _extra_a(grown, near)
-    lane, leave_a, leave_b = _elsewhere(grown, searched, extra_b, extra_a)
+    unseen_b, unseen_a = _unseen_b(grown, near), _unseen_a(grown, near)
+    lane, leave_a, leave_b = _elsewhere(grown, searched, unseen_b, unseen_a)
     corridor_a, corridor_b = lanes.a.corridor[lanes.of_a], lanes.b.corridor[lanes.of_b]
-    in_a = extra_b.by_lane(lanes.b.vertex[lanes.of_b], corridor_a)
-    in_b = extra_a.by_lane(lanes.a.vertex[lanes.of_a], corridor_b)
-    rows = np.column_stack([leave_a - corridor_a[lane], leave_b - corridor_b[lane]])
+    in_a = unseen_b.by_lane(lanes.b.vertex[lanes.of_b], corridor_a)
+    in_b = unseen_a.by_lane(lanes.a.vertex[lanes.of_a], corridor_b)
+    elsewhere = np.column_stack([leave_a - corridor_a[lane], leave_b - corridor_b[lane]])
     weight, first = _elsewhere_bits(grown).tolist(), cuts(lane, len(lanes))
-    out = [NO_CONFLICTS] * len(lanes)
+    found = [NO_CONFLICTS] * len(lanes)
     for k in searched.nonzero()[0].tolist():
-        out[k] = Conflicts(in_a[k], in_b[k], rows[first[k] : first[k + 1]], weight[k])
-    return out
+        found[k] = Conflicts(in_a[k], in_b[k], elsewhere[first[k] : first[k + 1]], weight[k])
+    return found
 
 
 def _elsewhere(
-    grown: Grown, searched: BoolArray, extra_b: _Found, extra_a: _Found
+    grown: Grown, searched: BoolArray, unseen_b: _AllUnseen, unseen_a: _AllUnseen
 ) -> tuple[IntArray, IntArray, IntArray]:
     """Corridors that leave matched junctions by one branch and lead to different ones: lane,
-    directed rows of both maps. Without those that an undetected junction explains, on the way or at
-    the end, and those that end at a bend which the other detector does not report."""
+    directed rows of both maps. Left out are those that an undetected junction explains, inside them
+    or at their end, and those that end at a bend which the other detector does not report."""
     lanes, a, b = grown.lanes, grown.lanes.a.whole, grown.lanes.b.whole
-    lane, leave_a, leave_b = _astray(grown, searched)
-    far_a, far_b = a.head[leave_a], b.head[leave_b]
+    lane, leave_a, leave_b = _diverging(grown, searched)
+    end_a, end_b = a.head[leave_a], b.head[leave_b]
 
-    def concerned(of_lane: IntArray, what: IntArray, wanted: IntArray, most: int) -> BoolArray:
-        """Whether a contradiction (`of_lane`, `what`) of the same lane concerns `wanted`
-        already; indices are below `most`."""
-        return np.isin(lane * most + wanted, of_lane * most + what)
+    def explained(rows: IntArray, unseen: _AllUnseen, by: IntArray, count: int) -> BoolArray:
+        """Whether rows of the corridors' lanes are among `by`, both below `count`."""
+        return np.isin(lane * count + rows, unseen.lane * count + by)
 
     vertices, corridors = max(len(a), len(b)), max(len(a.tail), len(b.tail))
-    either_a, passed_a = (np.minimum(row, a.reverse[row]) for row in (leave_a, extra_b.edge))
-    either_b, passed_b = (np.minimum(row, b.reverse[row]) for row in (leave_b, extra_a.edge))
-    explained = concerned(extra_b.lane, passed_a, either_a, corridors)
-    explained |= concerned(extra_a.lane, extra_a.vertex, far_a, vertices)
-    explained |= concerned(extra_a.lane, passed_b, either_b, corridors)
-    explained |= concerned(extra_b.lane, extra_b.vertex, far_b, vertices)
+    left_a, passed_a = (np.minimum(row, a.reverse[row]) for row in (leave_a, unseen_b.edge))
+    left_b, passed_b = (np.minimum(row, b.reverse[row]) for row in (leave_b, unseen_a.edge))
+    left_out = explained(left_a, unseen_b, passed_a, corridors)
+    left_out |= explained(end_a, unseen_a, unseen_a.vertex, vertices)
+    left_out |= explained(left_b, unseen_a, passed_b, corridors)
+    left_out |= explained(end_b, unseen_b, unseen_b.vertex, vertices)
     of_a, of_b = (lanes.a, lanes.of_a[lane]), (lanes.b, lanes.of_b[lane])
-    explained |= _never_shown(of_a, of_b, far_b) | _never_shown(of_b, of_a, far_a)
-    left = ~explained
-    return lane[left], leave_a[left], leave_b[left]
+    left_out |= _unreported_bends(of_a, of_b, end_b) | _unreported_bends(of_b, of_a, end_a)
+    return lane[~left_out], leave_a[~left_out], leave_b[~left_out]
 
 
-def _astray(grown: Grown, searched: BoolArray) -> tuple[IntArray, IntArray, IntArray]:
-    """All corridors that both runs drove from matched junctions by one branch, and that lead to
+def _diverging(grown: Grown, searched: BoolArray) -> tuple[IntArray, IntArray, IntArray]:
+    """Corridors that both runs drove from matched junctions by one branch, and that lead to
     vertices which are not matched with each other: lane, directed rows of both maps."""
     lanes, a, b = grown.lanes, grown.lanes.a.whole, grown.lanes.b.whole
-    some = searched[grown.lane].nonzero()[0]
-    va, row, lane = grown.a[some], grown.row[some], grown.lane[some]
+    matches = searched[grown.lane].nonzero()[0]
+    va, row, lane = grown.a[matches], grown.row[matches], grown.lane[matches]
     vb = lanes.vertex[row]
     k, branch_a, branch_b = common_branches(a, b, va, vb, grown.turn[row])
     leave_a, leave_b = a.by_branch[va[k], branch_a], b.by_branch[vb[k], branch_b]
@@ -205,8 +204,8 @@ def _astray(grown: Grown, searched: BoolArray) -> tuple[IntArray, IntArray, IntA
     lane, leave_a, leave_b = lane[k[driven]], leave_a[driven], leave_b[driven]
     partner = np.full(len(lanes.lane), -1)
     partner[grown.row] = grown.a
-    astray = partner[b.head[leave_b] + lanes.shift[lane]] != a.head[leave_a]
-    return lane[astray], leave_a[astray], leave_b[astray]
+    differ = partner[b.head[leave_b] + lanes.shift[lane]] != a.head[leave_a]
+    return lane[differ], leave_a[differ], leave_b[differ]
 
 
 def _elsewhere_bits(grown: Grown) -> FloatArray:
@@ -219,9 +218,11 @@ def _elsewhere_bits(grown: Grown) -> FloatArray:
     return np.minimum(np.maximum(bits, 0.0), MATCH.most_bits)
 
 
-def _placed_points(grown: Grown, lane: IntArray, rows: IntArray) -> tuple[ComplexArray, FloatArray]:
-    """Points of b's corridors in the frame of a, interpolated between the predictions of both ends,
-    and their uncertainty [m], (k,) each.
+def _predicted_points(
+    grown: Grown, lane: IntArray, rows: IntArray
+) -> tuple[ComplexArray, FloatArray]:
+    """Points of b's corridors in the frame of a, x + iy [m], interpolated between the predictions
+    of both ends, and their uncertainty [m], (k,) each.
 
     lane: (k,); rows: (k,) rows of b's `points`.
     """
@@ -230,79 +231,80 @@ def _placed_points(grown: Grown, lane: IntArray, rows: IntArray) -> tuple[Comple
     at_tail, at_head = tail + shift, head + shift
     by_tail = grown.place[at_tail] + grown.turn[at_tail] * (z - b.z[tail])
     by_head = grown.place[at_head] + grown.turn[at_head] * (z - b.z[head])
-    vague = MATCH.drift_per_m * np.maximum(grown.support_m[at_tail], grown.support_m[at_head])
-    return by_tail + b.points.share[rows] * (by_head - by_tail), vague
+    drift_m = MATCH.drift_per_m * np.maximum(grown.support_m[at_tail], grown.support_m[at_head])
+    return by_tail + b.points.share[rows] * (by_head - by_tail), drift_m
 
 
-def _weight(
-    missing: tuple[Atlas, IntArray], edge: IntArray, extra: tuple[Atlas, IntArray], vertex: IntArray
+def _unseen_bits(
+    blind: tuple[Atlas, IntArray], edge: IntArray, seeing: tuple[Atlas, IntArray], vertex: IntArray
 ) -> FloatArray:
     """(k,) weight [bits] of a junction that only one run detected: the one run missed it on every
     traversal, or the other one invented it on every pass; less for a junction of low confidence.
 
-    missing, extra: an atlas, and the map of it in each case.
+    blind, seeing: an atlas, and the rows (k,) of the maps in it; edge: (k,) corridors of the blind
+    maps; vertex: (k,) junctions of the seeing maps.
     """
-    blind, seeing = missing[0], extra[0]
-    miss, invent = blind.miss_rate[missing[1]], seeing.phantom_rate[extra[1]]
-    driven, seen = blind.whole.traversals[edge], seeing.whole.observations[vertex]
-    missed = (miss + MATCH.fault_floor) ** np.minimum(driven, 3)
-    invented = (invent + MATCH.fault_floor) ** np.minimum(seen, 3)
+    (blind_atlas, blind_map), (seeing_atlas, seeing_map) = blind, seeing
+    miss, invent = blind_atlas.miss_rate[blind_map], seeing_atlas.phantom_rate[seeing_map]
+    traversals, passes = blind_atlas.whole.traversals[edge], seeing_atlas.whole.observations[vertex]
+    missed = (miss + MATCH.fault_floor) ** np.minimum(traversals, 3)
+    invented = (invent + MATCH.fault_floor) ** np.minimum(passes, 3)
     nats = np.maximum(np.log(np.minimum(missed + invented, 1.0)), -LIKELIHOOD.most)
-    nats[_never_shown(missing, extra, vertex)] = 0.0
-    return -doubted(nats, np.log(seeing.whole.confidence[vertex])) / BIT
+    nats[_unreported_bends(blind, seeing, vertex)] = 0.0
+    return -doubted(nats, np.log(seeing_atlas.whole.confidence[vertex])) / BIT
 
 
-def _never_shown(
+def _unreported_bends(
     blind: tuple[Atlas, IntArray], seeing: tuple[Atlas, IntArray], vertex: IntArray
 ) -> BoolArray:
-    """(k,) whether vertices of one map are bends and the detector of the other does not report
-    bends."""
+    """(k,) whether vertices of the seeing maps are bends, which the blind maps do not report."""
     bend = seeing[0].whole.count[vertex] == 2
     return np.asarray(bend & ~blind[0].shows_bends[blind[1]])
 
 
-def _extra_b(grown: Grown, near: BoolArray) -> _Found:
-    """Unmatched vertices of b well inside corridors of a."""
+def _unseen_b(grown: Grown, near: BoolArray) -> _AllUnseen:
+    """Unmatched vertices of b well inside corridors of a. near: (t,) rows whose predictions are
+    certain enough, and that are searched."""
     lanes, a = grown.lanes, grown.lanes.a.whole
-    alone = near.copy()
-    alone[grown.row] = False
-    lone = alone.nonzero()[0]
-    where, lane = grown.place[lone], lanes.lane[lone]
-    off_end = MATCH.clear_m + MATCH.drift_per_m * grown.support_m[lone]
-    gap, point = lanes.nearest(where, lane, BESIDE_M, corridors=True)
-    beside = (gap < BESIDE_M).nonzero()[0]
-    lone, lane, point = lone[beside], lane[beside], point[beside]
-    where, off_end = where[beside], off_end[beside]
-    across = np.abs(((where - a.points.z[point]) * a.points.direction[point].conj()).imag)
-    farthest = np.zeros(len(lanes))
-    np.maximum.at(farthest, lane, off_end)
-    inside = (across < MATCH.gate_m) & (lanes.nearest(where, lane, farthest)[0] > off_end)
-    vertex, edge, lane = lanes.vertex[lone[inside]], a.points.edge[point[inside]], lane[inside]
-    bits = _weight((lanes.a, lanes.of_a[lane]), edge, (lanes.b, lanes.of_b[lane]), vertex)
-    return _Found(lane, vertex, edge, bits)
+    unmatched = near.copy()
+    unmatched[grown.row] = False
+    rows = unmatched.nonzero()[0]
+    place, lane = grown.place[rows], lanes.lane[rows]
+    end_m = MATCH.clear_m + MATCH.drift_per_m * grown.support_m[rows]
+    gap, point = lanes.nearest(place, lane, BESIDE_M, corridors=True)
+    near_corridor = (gap < BESIDE_M).nonzero()[0]
+    rows, lane, point = rows[near_corridor], lane[near_corridor], point[near_corridor]
+    place, end_m = place[near_corridor], end_m[near_corridor]
+    across_m = np.abs(((place - a.points.z[point]) * a.points.direction[point].conj()).imag)
+    farthest_m = np.zeros(len(lanes))
+    np.maximum.at(farthest_m, lane, end_m)
+    inside = (across_m < MATCH.gate_m) & (lanes.nearest(place, lane, farthest_m)[0] > end_m)
+    vertex, edge, lane = lanes.vertex[rows[inside]], a.points.edge[point[inside]], lane[inside]
+    bits = _unseen_bits((lanes.a, lanes.of_a[lane]), edge, (lanes.b, lanes.of_b[lane]), vertex)
+    return _AllUnseen(lane, vertex, edge, bits)
 
 
-def _extra_a(grown: Grown, near: BoolArray) -> _Found:
-    """Unmatched vertices of a beside points of b's corridors."""
+def _unseen_a(grown: Grown, near: BoolArray) -> _AllUnseen:
+    """Unmatched vertices of a well inside corridors of b. near: as in `_unseen_b`."""
     lanes, a, b = grown.lanes, grown.lanes.a.whole, grown.lanes.b.whole
     lane, rows = lanes.rows_of(lanes.b.point)
     shift = lanes.shift[lane]
-    seen = (near[b.points.tail[rows] + shift] & near[b.points.head[rows] + shift]).nonzero()[0]
-    lane, rows = lane[seen], rows[seen]
-    place, vague = _placed_points(grown, lane, rows)
-    inner = (b.points.end_m[rows] > MATCH.clear_m + vague).nonzero()[0]
-    lane, rows, place = lane[inner], rows[inner], place[inner]
+    believed = (near[b.points.tail[rows] + shift] & near[b.points.head[rows] + shift]).nonzero()[0]
+    lane, rows = lane[believed], rows[believed]
+    place, drift_m = _predicted_points(grown, lane, rows)
+    inside = (b.points.end_m[rows] > MATCH.clear_m + drift_m).nonzero()[0]
+    lane, rows, place = lane[inside], rows[inside], place[inside]
     gap, vertex = lanes.nearest(place, lane, BESIDE_M)
     beside = (gap < BESIDE_M).nonzero()[0]
     slot = vertex[beside] + lanes.shift_a[lane[beside]]
-    taken = np.zeros(int(lanes.first_a[-1]), np.bool_)
-    taken[grown.a + lanes.shift_a[grown.lane]] = True
-    free = ~taken[slot]
-    beside, slot = beside[free], slot[free]
+    matched = np.zeros(int(lanes.first_a[-1]), np.bool_)
+    matched[grown.a + lanes.shift_a[grown.lane]] = True
+    unmatched = ~matched[slot]
+    beside, slot = beside[unmatched], slot[unmatched]
     lane, rows, place, vertex = lane[beside], rows[beside], place[beside], vertex[beside]
-    turned = grown.turn[b.points.tail[rows] + lanes.shift[lane]] * b.points.direction[rows]
-    hit = np.abs(((a.z[vertex] - place) * turned.conj()).imag) < MATCH.gate_m
-    first = np.unique(slot[hit], return_index=True)[1]
-    lane, extra, edge = lane[hit][first], vertex[hit][first], b.points.edge[rows[hit][first]]
-    bits = _weight((lanes.b, lanes.of_b[lane]), edge, (lanes.a, lanes.of_a[lane]), extra)
-    return _Found(lane, extra, edge, bits)
+    direction = grown.turn[b.points.tail[rows] + lanes.shift[lane]] * b.points.direction[rows]
+    crossed = np.abs(((a.z[vertex] - place) * direction.conj()).imag) < MATCH.gate_m
+    once = crossed.nonzero()[0][np.unique(slot[crossed], return_index=True)[1]]
+    lane, vertex, edge = lane[once], vertex[once], b.points.edge[rows[once]]
+    bits = _unseen_bits((lanes.b, lanes.of_b[lane]), edge, (lanes.a, lanes.of_a[lane]), vertex)
+    return _AllUnseen(lane, vertex, edge, bits)

@@ -8,7 +8,7 @@ from ...topology.topomap import TopoMap
 from ..locks import Lock, Names, locks_among
 from ..result import Alignment, PairVerdict
 from .alignment import Candidate, match
-from .batch import Batch, in_parts
+from .batch import Batch, in_batches
 from .components import Across, Components, Refusal, as_alignment, join_all
 from .entries import Case
 from .forced import forced_alignment
@@ -27,7 +27,7 @@ def decide(
 ) -> tuple[PairVerdict, ...]:
     """Verdicts on pairs of runs, sorted by (a, b); `maps` are sorted by run.
 
-    All pairs of a small batch; of a large one those that were matched: the others were screened out
+    All pairs of a small batch; of a large one those that were matched. The others were screened out
     (`screening`) and are unrelated unless other runs join them.
 
     1. Every map is prepared, and matched with itself: how much does the building repeat itself?
@@ -60,56 +60,55 @@ def decide(
     components = Components(len(maps), never)
     joined, refused = _join(batch, components, forced)
     matches = _rematch(batch, components, joined, locked, forced)
-    batch.say(f"{len(joined)} pairs join, {len(matches)} by what components say together")
+    batch.log(f"{len(joined)} pairs join, {len(matches)} by what components say together")
     refused |= batch.match_overlapping(components, matches)
-    found = _verdicts(
-        batch, components, forced=forced, locked=locked, refused=refused, matches=matches
+    return tuple(
+        _verdicts(batch, components, forced=forced, locked=locked, refused=refused, matches=matches)
     )
-    return tuple(found)
 
 
 def _forced(batch: Batch, locked: Mapping[Pair, Lock]) -> dict[Pair, Candidate]:
-    """Alignments of the pairs that are locked as the same: of those that `explain` shows, which
-    are ranked with the test for copies, else of all that the match finds."""
+    """Alignments of the pairs that are locked as the same. Candidates are those of the assessment
+    first, which are ranked with the test for copies, then all that matching finds."""
     same = [pair for pair, lock in sorted(locked.items()) if lock.decision == "same"]
     settings = batch.matcher.settings
-    out = {}
+    forced = {}
     for pair, assessment in batch.assessments(same).items():
         a, b = batch.prepared(pair)
-        shown = (w.candidate for w in assessment.ranked)
-        candidates = (*shown, *match(a, b, settings))
-        found = forced_alignment(a, b, candidates, locked[pair], settings)
-        if found is not None:
-            out[pair] = found
-    return out
+        ranked = (w.candidate for w in assessment.ranked)
+        candidates = (*ranked, *match(a, b, settings))
+        alignment = forced_alignment(a, b, candidates, locked[pair], settings)
+        if alignment is not None:
+            forced[pair] = alignment
+    return forced
 
 
 def _join(
     batch: Batch, components: Components, forced: Mapping[Pair, Candidate]
 ) -> tuple[dict[Pair, Alignment], dict[Pair, Refusal]]:
-    """Join pairs, locked ones first, then by evidence: the alignments of those that join or fit,
-    and why others do not.
+    """Join pairs, locked ones first, then by evidence. Returns the alignments of the pairs that are
+    joined or agree with those, and why the others are refused.
 
-    A pair locked as the same is joined as the lock says or, if that is infeasible, not at all.
+    A pair locked as the same is joined as the lock states or, if that is infeasible, not at all.
     """
     merged = ((pair, v.best) for pair, v in batch.unlocked.items() if v.accepted)
-    best = {pair: found for pair, found in merged if found is not None}
-    best |= {pair: as_alignment(c) for pair, c in forced.items()}
-    bits = {pair: batch.verdicts[pair].evidence_bits for pair in best}
-    order = sorted(best, key=lambda p: (p not in forced, -bits[p], p))
+    alignments = {pair: best for pair, best in merged if best is not None}
+    alignments |= {pair: as_alignment(c) for pair, c in forced.items()}
+    bits = {pair: batch.verdicts[pair].evidence_bits for pair in alignments}
+    order = sorted(alignments, key=lambda p: (p not in forced, -bits[p], p))
     matcher = batch.matcher
     across = Across(
         matcher.prepared,
         matcher.places,
         batch.unlocked,
-        best,
+        alignments,
         batch.same_place_bits,
         locked=forced,
         most_sigmas=matcher.settings.size_sigmas,
     )
     runs = [m.run for m in matcher.maps]
-    refused = join_all(components, order, best, matcher.places, runs, refusal=across.refusal)
-    return {pair: found for pair, found in best.items() if pair not in refused}, refused
+    refused = join_all(components, order, alignments, matcher.places, runs, refusal=across.refusal)
+    return {pair: a for pair, a in alignments.items() if pair not in refused}, refused
 
 
 def _rematch(
@@ -119,15 +118,16 @@ def _rematch(
     locked: Mapping[Pair, Lock],
     forced: Collection[Pair],
 ) -> dict[Pair, ComponentMatch]:
-    """Join components by what their merged maps say; locks that name junctions, and that no
-    alignment of their own pair honours, hold for these as well."""
+    """Join components by the evidence of their merged maps. Locks that name junctions constrain
+    these matches, too, unless an alignment of their own pair satisfies them."""
     unmet = {
         pair: lock.at
         for pair, lock in locked.items()
         if lock.at is not None and lock.decision == "same" and pair not in forced
     }
-    open_ = batch.plausible()
-    rematcher = Rematcher(batch.matcher, components, open_, batch.threshold, batch.discarded, unmet)
+    rematcher = Rematcher(
+        batch.matcher, components, batch.plausible(), batch.threshold, batch.discarded, unmet
+    )
     return rematcher.run(joined)
 
 
@@ -142,16 +142,16 @@ def _verdicts(
 ) -> Iterator[PairVerdict]:
     """The verdicts on all pairs that were matched, sorted.
 
-    A verdict from the two maps alone stands unless a lock, a component or other runs concern the
-    pair. Those are assessed again, with the placements that other runs corroborate.
+    The verdict by the two maps alone stands unless a lock, a refusal, a match of components or
+    other runs concern the pair. Then the pair is assessed again, with all of these.
     """
     concerned = {*forced, *locked, *refused, *matches}
-    for some in in_parts(sorted(batch.found)):
-        open_ = (p for p in some if p in concerned or not batch.verdicts[p].accepted)
-        corroborated = batch.corroborated(open_, components)
-        again = [pair for pair in some if pair in concerned or pair in corroborated]
-        assessments = batch.assessments(again)
-        for pair in some:
+    for pairs in in_batches(sorted(batch.summaries)):
+        open_pairs = (p for p in pairs if p in concerned or not batch.verdicts[p].accepted)
+        corroborated = batch.corroborated(open_pairs, components)
+        revised = [pair for pair in pairs if pair in concerned or pair in corroborated]
+        assessments = batch.assessments(revised)
+        for pair in pairs:
             if pair not in assessments:
                 yield batch.verdicts[pair]
                 continue

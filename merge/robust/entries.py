@@ -16,7 +16,7 @@ from ..locks import DISCARDED, Lock
 from ..result import AcceptedBy, Alignment, PairVerdict, Verdict
 from .alignment import Candidate, same_matches, same_placement
 from .components import Refusal
-from .conflicts import one_by_one
+from .conflicts import contradictions
 from .prepare import Prepared
 from .rematching import ComponentMatch
 from .verdict import DOUBTS, ELSEWHERE, NOTHING_ALIKE, Assessment, Weighed
@@ -24,12 +24,17 @@ from .view_ties import view_ties
 from .wording import describe_evidence, describe_match
 
 MAPS_ALONE = "the maps alone say:"
-"""In a reason, before what the evidence of two maps says where a lock says otherwise."""
+"""Introduces the evidence of two maps in a reason where a lock decides otherwise."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Case:
-    """All that is known of two maps: by themselves, by locks, by the other runs."""
+    """All that decides on two maps: their own evidence, locks, and the other runs.
+
+    forced: the alignment by a lock as the same; refused: why the pair was not joined;
+    by_components: the match of their components; corroborated: a candidate that agrees with other
+    runs; together: whether the two are in one component.
+    """
 
     a: Prepared
     b: Prepared
@@ -82,40 +87,39 @@ class Case:
 
     def _by_evidence(self) -> PairVerdict:
         """The verdict where nothing forbids joining."""
-        own, best = self.assessment, self.assessment.best
+        assessment, best = self.assessment, self.assessment.best
         if self.forced is not None:
-            reason, why = "locked as the same by a person; {}", own.why
+            reason, lacks = "locked as the same by a person; {}", assessment.why
             if best is not None and not same_placement(best, self.forced, self.b):
-                why = why or ELSEWHERE
-            if why or own.verdict is not Verdict.MERGED:
-                reason += f"; {MAPS_ALONE} {own.verdict}" + (f", {why}" if why else "")
-            if own.verdict is Verdict.UNRELATED:
-                why = NOTHING_ALIKE
-            return self._accepted(self.forced, by="lock", reason=reason, lacks=why)
-        if own.verdict is Verdict.MERGED and best is not None:
+                lacks = lacks or ELSEWHERE
+            if lacks or assessment.verdict is not Verdict.MERGED:
+                reason += f"; {MAPS_ALONE} {assessment.verdict}" + (f", {lacks}" if lacks else "")
+            if assessment.verdict is Verdict.UNRELATED:
+                lacks = NOTHING_ALIKE
+            return self._accepted(self.forced, by="lock", reason=reason, lacks=lacks)
+        if assessment.verdict is Verdict.MERGED and best is not None:
             return self._accepted(best, by="pair")
         if self.by_components is not None:
-            both = self.by_components.assessment
+            of_components = self.by_components.assessment
             return self._pair(
-                both,
+                of_components,
                 verdict=Verdict.MERGED,
                 reason=self.by_components.reason,
                 best=self.by_components.alignment,
-                margin_bits=both.margin,
+                margin_bits=of_components.margin,
                 accepted_by="components",
                 together=self.by_components.sides,
             )
         if self.corroborated is not None:
             reason = "joined with the help of other runs, which place the two in the same way: {}"
             return self._accepted(self.corroborated, by="runs", reason=reason)
-        found = self._evidence()
-        return self._not_joined(own.verdict, f"{found}; {own.why}" if own.why else found)
+        evidence, why = self._evidence(), assessment.why
+        return self._not_joined(assessment.verdict, f"{evidence}; {why}" if why else evidence)
 
     def _accepted(
         self, chosen: Candidate, *, by: AcceptedBy, reason: str = "{}", lacks: str = ""
     ) -> PairVerdict:
-        """Joined by an alignment of the pair, not necessarily its best. The alignment's summary
-        replaces the braces in the reason."""
+        """The verdict of a pair joined by one of its alignments, in words at the braces."""
         best = self._alignment(chosen)
         ranked = (w.candidate for w in self.assessment.ranked)
         others = (c for c in ranked if not same_placement(c, chosen, self.b))
@@ -134,23 +138,23 @@ class Case:
         )
 
     def _alignment(self, c: Candidate) -> Alignment:
-        """A candidate with the evidence that the assessment gives it, if it has it."""
+        """A candidate as an alignment, with its evidence by the assessment, if it was assessed."""
         known = (w for w in self.assessment.ranked if same_matches(w.candidate, c))
         return alignment_of(c, self.a, self.b, next(known, None))
 
     def _not_joined(
-        self, verdict: Verdict, reason: str, settling: str | None = None
+        self, verdict: Verdict, reason: str, settled_by: str | None = None
     ) -> PairVerdict:
         """settling: what would settle an ambiguous pair, if that is not another recording."""
         assessment = self.assessment
-        shown = (assessment.best, assessment.runner_up)
-        best, second = (None if c is None else self._alignment(c) for c in shown)
+        candidates = (assessment.best, assessment.runner_up)
+        best, second = (None if c is None else self._alignment(c) for c in candidates)
         if self.refused is not None:
-            settling = self.refused.advice
+            settled_by = self.refused.advice
         if verdict is not Verdict.AMBIGUOUS:
-            settling = None
-        elif settling is None:
-            settling = advice(self.a, self.b, assessment)
+            settled_by = None
+        elif settled_by is None:
+            settled_by = advice(self.a, self.b, assessment)
         return self._pair(
             assessment,
             verdict=verdict,
@@ -158,7 +162,7 @@ class Case:
             best=best,
             runner_up=second,
             margin_bits=assessment.margin,
-            advice=settling,
+            advice=settled_by,
             lacks=assessment.why,
         )
 
@@ -191,18 +195,17 @@ class Case:
 
 
 def doubt(pair: PairVerdict) -> str:
-    """What the maps of a pair that their evidence does not join say against joining them, beyond
-    too little evidence: that it may be another place, contradictions, or nothing in common; "" if
-    nothing."""
+    """The evidence of the maps against joining a pair that is not joined by evidence: it may be
+    another place, contradictions, nothing in common; "" if there is none."""
     if pair.through or (pair.accepted and pair.accepted_by != "lock"):
         return ""
-    found = [pair.lacks] if pair.lacks in DOUBTS else []
-    against = () if pair.best is None else pair.best.contradictions
-    if against:
-        found.append(f"{counted(len(against), 'contradiction')}: {against[0]}")
-    if not found and pair.verdict is Verdict.UNRELATED and pair.locked is None:
-        found.append(NOTHING_ALIKE)
-    return "; ".join(found)
+    doubts = [pair.lacks] if pair.lacks in DOUBTS else []
+    contradictions = () if pair.best is None else pair.best.contradictions
+    if contradictions:
+        doubts.append(f"{counted(len(contradictions), 'contradiction')}: {contradictions[0]}")
+    if not doubts and pair.verdict is Verdict.UNRELATED and pair.locked is None:
+        doubts.append(NOTHING_ALIKE)
+    return "; ".join(doubts)
 
 
 def alignment_of(
@@ -210,7 +213,7 @@ def alignment_of(
 ) -> Alignment:
     """A candidate as an alignment. weighed: its evidence, if it was assessed."""
     order = np.argsort(c.a, kind="stable")
-    against = one_by_one(c.conflicts, a, b)
+    against = contradictions(c.conflicts, a, b)
     return Alignment(
         transform=c.transform,
         evidence_bits=c.counted_bits if weighed is None else weighed.bits,
@@ -226,11 +229,8 @@ def alignment_of(
 
 def advice(a: Prepared, b: Prepared, assessment: Assessment) -> str | None:
     """A sentence that names a corridor to drive: one that leaves a matched junction by a branch
-    seen by both runs and driven by only one.
-
-    Corridors at junctions that the runner-up matches differently are preferred, because they can
-    refute it. None without a placement.
-    """
+    that both runs saw and one drove. Corridors at junctions that the runner-up matches differently
+    are preferred, because they can refute it. None without a placement."""
     best = assessment.best
     if best is None:
         return None
@@ -244,24 +244,26 @@ def advice(a: Prepared, b: Prepared, assessment: Assessment) -> str | None:
             "every corridor they share has been driven by both"
         )
     second = assessment.runner_up
-    blind = {} if second is None else dict(zip(second.b.tolist(), second.a.tolist(), strict=True))
+    pairs = () if second is None else zip(second.b.tolist(), second.a.tolist(), strict=True)
+    runner_up = dict(pairs)
 
     def refutes(o: _Option) -> bool:
         """Whether the runner-up matches the junction with another one."""
-        ours, theirs = (o.vertex, o.other_vertex) if o.known is a else (o.other_vertex, o.vertex)
-        return bool(blind.get(theirs, ours) != ours)
+        of_a, of_b = (o.vertex, o.other_vertex) if o.known is a else (o.other_vertex, o.vertex)
+        return bool(runner_up.get(of_b, of_a) != of_a)
 
-    o = max(options, key=lambda o: (refutes(o), o.length, -o.other_vertex))
+    best_option = max(options, key=lambda o: (refutes(o), o.length, -o.other_vertex))
+    driver, vertex, end, length, other, other_vertex = best_option
     return (
-        f"record with {o.other.run}'s robot the corridor that {o.known.run} drove from its "
-        f"junction {o.vertex} to {o.end} ({o.length:.1f} m): it leaves junction {o.other_vertex} "
-        f"of {o.other.run}, where that run turned another way"
+        f"record with {other.run}'s robot the corridor that {driver.run} drove from its "
+        f"junction {vertex} to {end} ({length:.1f} m): it leaves junction {other_vertex} "
+        f"of {other.run}, where that run turned another way"
     )
 
 
 class _Option(NamedTuple):
-    """A corridor that the run `known` drove from `vertex` to `end`, length in [m], and that the run
-    `other` saw leave its `other_vertex`, matched with `vertex`, and did not drive."""
+    """A corridor that the run `known` drove from `vertex` to `end`, of a length [m]. The run
+    `other` saw it leave the matched `other_vertex`, and did not drive it."""
 
     known: Prepared
     vertex: int
@@ -272,20 +274,22 @@ class _Option(NamedTuple):
 
 
 def _driven_by_one(
-    known: Prepared, other: Prepared, vk: IntArray, vo: IntArray, turn: float
+    known: Prepared, other: Prepared, matched_known: IntArray, matched_other: IntArray, turn: float
 ) -> list[_Option]:
     """Corridors of `known` at matched junctions by branches that `other` saw and did not drive."""
     partner = np.full(len(known), -1)
-    partner[vk] = vo
-    row = ((partner[known.tail] >= 0) & (known.leave != NO_BRANCH)).nonzero()[0]
-    tail = known.tail[row]
-    vertex, theirs = partner[tail], other.heading[partner[tail]]
-    gap = np.abs(wrap(theirs - (known.heading[tail, known.leave[row]] - turn)[:, None]))
-    gap[np.isnan(theirs)] = np.pi  # as far off as can be
-    branch = gap.argmin(axis=1)
-    open_ = (gap.min(axis=1) < LIKELIHOOD.branch_gate_rad) & (other.by_branch[vertex, branch] < 0)
-    columns = (tail, known.head[row], known.length[row], vertex)
+    partner[matched_known] = matched_other
+    rows = ((partner[known.tail] >= 0) & (known.leave != NO_BRANCH)).nonzero()[0]
+    tail = known.tail[rows]
+    vertex, headings = partner[tail], other.heading[partner[tail]]
+    turn_rad = np.abs(wrap(headings - (known.heading[tail, known.leave[rows]] - turn)[:, None]))
+    turn_rad[np.isnan(headings)] = np.pi  # as far off as can be
+    branch = turn_rad.argmin(axis=1)
+    undriven = (turn_rad.min(axis=1) < LIKELIHOOD.branch_gate_rad) & (
+        other.by_branch[vertex, branch] < 0
+    )
+    columns = (tail, known.head[rows], known.length[rows], vertex)
     return [
         _Option(known, u, end, length, other, v)
-        for u, end, length, v in zip(*(c[open_].tolist() for c in columns), strict=True)
+        for u, end, length, v in zip(*(c[undriven].tolist() for c in columns), strict=True)
     ]

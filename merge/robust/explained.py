@@ -1,8 +1,7 @@
 """Why the robust method decided on two runs as it did, from the documents of a workspace.
 
-The verdict, its evidence and what it lacks are those of the merge (`merged.json`). What the
-evidence of a placement consists of, link by link, is read off the match of the two maps, which is
-kept from the merge.
+The verdict, its evidence and what it lacks are those of the merge (`merged.json`). The terms of the
+evidence, link by link, are those of the match of the two maps, which is cached by the merge.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ import numpy as np
 
 from ...topology.arrays import FloatArray
 from ...topology.digits import BITS, rounded
-from ...topology.matching.views import compared
+from ...topology.matching.views import compare
 from ...topology.se2 import between, turned
 from ...topology.topomap import TopoMap
 from ...topology.wording import counted
@@ -28,19 +27,19 @@ from ..result import Alignment, CopyTest, MergeResult, PairVerdict, Verdict, pai
 from ..through import joined_through
 from ..wording import describe_bits
 from .alignment import Candidate, match
-from .conflicts import one_by_one
+from .conflicts import contradictions
 from .decide import decide
 from .entries import alignment_of
 from .forced import forced_alignment
 from .pairing import Means, Pairwise
 from .prepare import Prepared
 from .settings import DEFAULT_ROBUST, MATCH, RobustSettings
-from .verdict import in_steps
+from .verdict import rounded_up
 from .view_search import pictured
 
 FIT_SIGMAS = 1.96
-"""Two measurements of one length differ by less in 95 % of cases; a link that fits so well and
-still speaks against the placement has a length that many corridors have."""
+"""Two measurements of one length differ by less in 95 % of cases. A link that fits so well and is
+still evidence against the placement has a common length."""
 
 BOTH = np.array([(0, 1)])
 """The pair of the two maps of a `_Pair`."""
@@ -50,9 +49,9 @@ BOTH = np.array([(0, 1)])
 class Merge:
     """A merge as stated by its documents.
 
-    read: gives the map of a run; runs: number of all its runs; verdicts: all of them, none if these
-    runs were not merged; settings: of the merge; locks: present ones; poses: (3,) of every run in
-    its component; kept: results of matching that need not be computed again.
+    read: gives the map of a run; runs: number of its runs; verdicts: by pair, none if these runs
+    were not merged; settings: of the merge; locks: present ones; poses: (3,) of every run in its
+    component; kept: cached results of matching.
     """
 
     read: Callable[[str], TopoMap]
@@ -87,7 +86,7 @@ class _Pair:
 
     def alone(self) -> PairVerdict:
         """The verdict on the two maps by themselves, as one of all pairs of the merge."""
-        settings, pairs = self.merge.settings, in_steps(pairs_of(self.merge.runs))
+        settings, pairs = self.merge.settings, rounded_up(pairs_of(self.merge.runs))
         one_of = replace(settings, false_merge_rate=settings.false_merge_rate / pairs)
         return decide(self.matcher.maps, one_of, means=self.matcher.means)[0]
 
@@ -99,8 +98,8 @@ class _Pair:
         return beyond or match(a, b, self.merge.settings)
 
     def candidates(self, verdict: PairVerdict) -> Iterator[Candidate]:
-        """All of them, first those that the verdict is about: a pair is merged by itself only
-        beside rivals; last the placement by a lock of the two as the same."""
+        """All candidates, first those of the verdict (of a pair merged by itself the thorough
+        ones), last the placement by a lock of the two as the same."""
         (thorough,) = self.matcher.thorough(BOTH)
         by_pair = verdict.accepted_by == "pair"
         yield from (*thorough, *self.plain) if by_pair else (*self.plain, *thorough)
@@ -113,16 +112,16 @@ class _Pair:
     def known(self, verdict: PairVerdict, alignment: Alignment) -> Candidate | None:
         """The candidate of an alignment in the document, if the maps still have it."""
         pairs = set(map(tuple, alignment.matched.tolist()))
-        same = (c for c in self.candidates(verdict) if pairs == {*_matched(c)})
-        return next(same, None)
+        matching = (c for c in self.candidates(verdict) if pairs == {*_matched_pairs(c)})
+        return next(matching, None)
 
     def placements(self, verdict: PairVerdict) -> Iterator[Placement]:
         """The placement that a verdict refers to, or the best one, and the runner-up."""
         if verdict.accepted_by == "components" and verdict.best is not None:
             # Of fused maps; of maps that changed since, some junctions may be gone.
             matched, sizes = verdict.best.matched, [len(m) for m in self.matcher.maps]
-            there = matched[(matched < sizes).all(axis=1)]
-            yield Placement(replace(verdict.best, matched=there), ())
+            known_matches = matched[(matched < sizes).all(axis=1)]
+            yield Placement(replace(verdict.best, matched=known_matches), ())
             return
         best = None if verdict.verdict is Verdict.UNRELATED else verdict.best
         chosen = None if best is None else self.known(verdict, best)
@@ -136,14 +135,14 @@ class _Pair:
     def _placement(self, c: Candidate, stated: Alignment | None) -> Placement:
         """A candidate with its evidence, as far as the document states it."""
         a, b = self.matcher.prepared
-        own = alignment_of(c, a, b)
-        tested = None if stated is None else stated.copy_test
-        if stated is not None and tested is not None:
-            own = replace(own, evidence_bits=stated.evidence_bits, copy_test=tested)
-        return Placement(own, _terms(a, b, c, own.evidence_bits, tested), c.searched)
+        alignment = alignment_of(c, a, b)
+        copy_test = None if stated is None else stated.copy_test
+        if stated is not None and copy_test is not None:
+            alignment = replace(alignment, evidence_bits=stated.evidence_bits, copy_test=copy_test)
+        return Placement(alignment, _terms(a, b, c, alignment.evidence_bits, copy_test), c.searched)
 
 
-def _matched(c: Candidate) -> Iterator[tuple[int, int]]:
+def _matched_pairs(c: Candidate) -> Iterator[tuple[int, int]]:
     """The matched vertices of a candidate, pair by pair."""
     return zip(c.a.tolist(), c.b.tolist(), strict=True)
 
@@ -195,19 +194,24 @@ def _unlisted(merge: Merge, alone: PairVerdict) -> PairVerdict:
 
 
 def _terms(
-    a: Prepared, b: Prepared, c: Candidate, bits: float, tested: CopyTest | None
+    a: Prepared, b: Prepared, c: Candidate, bits: float, copy_test: CopyTest | None
 ) -> tuple[Term, ...]:
-    """The evidence of a placement, part by part; the parts add up to `bits` if it was tested for
-    being a copy, else to what speaks against chance."""
-    few = c.counted_bits - c.bits
-    terms = [*_links(a, b, c), *_branches(a, b, c), *_views(a, b, c), *_against(a, b, c)]
-    terms.append(Term("hypotheses", -c.tested_bits, _chosen_from(c)))
-    if rounded(few, BITS) < 0:
+    """The terms of the evidence of a placement. They add up to `bits` if it was tested for being a
+    copy, else to the evidence against chance."""
+    bound_bits = c.counted_bits - c.bits
+    terms = [
+        *_link_terms(a, b, c),
+        *_branch_terms(a, b, c),
+        *_view_terms(a, b, c),
+        *_conflict_terms(a, b, c),
+    ]
+    terms.append(Term("hypotheses", -c.tested_bits, _describe_choice(c)))
+    if rounded(bound_bits, BITS) < 0:
         limit = f"what agrees counts {MATCH.junction_bits} bits a junction at most"
-        terms.append(Term("few", few, limit))
-    if tested is not None:
+        terms.append(Term("few", bound_bits, limit))
+    if copy_test is not None:
         copies = min(rounded(bits, BITS) - c.counted_bits, 0.0)
-        terms.append(Term("copies", copies, _describe_copy_test(tested)))
+        terms.append(Term("copies", copies, _describe_copy_test(copy_test)))
     return tuple(terms)
 
 
@@ -221,7 +225,7 @@ def _describe_copy_test(tested: CopyTest) -> str:
     return f"is it a copy? {bits} bits say no, {need} needed"
 
 
-def _chosen_from(c: Candidate) -> str:
+def _describe_choice(c: Candidate) -> str:
     """Among how many hypotheses a candidate was chosen, in words."""
     if c.by_views:
         return "proposed by views"
@@ -229,34 +233,34 @@ def _chosen_from(c: Candidate) -> str:
     return f"chosen from {counted(tested, 'pair')} of like corridors"
 
 
-def _links(a: Prepared, b: Prepared, c: Candidate) -> Iterator[Term]:
+def _link_terms(a: Prepared, b: Prepared, c: Candidate) -> Iterator[Term]:
     """A term for each link between matched junctions."""
-    agree = c.support
-    rows = zip(agree.ends.tolist(), agree.along.tolist(), agree.links.tolist(), strict=True)
+    support = c.support
+    rows = zip(support.ends.tolist(), support.along.tolist(), support.links.tolist(), strict=True)
     for ends, along, bits in rows:
         va, vb = tuple(c.a[ends].tolist()), tuple(c.b[ends].tolist())
         if along >= 0:
-            row_a, row_b = agree.corridors[along].tolist()
+            row_a, row_b = support.corridors[along].tolist()
             size = (float(a.length[row_a]), float(b.length[row_b]))
             sigma_m = math.sqrt(a.variance[row_a] + b.variance[row_b])
             fits = abs(size[0] - size[1]) < FIT_SIGMAS * sigma_m
-            against = "common length" if fits else "misfit"
-            yield Term("corridor", bits, "corridor" if bits >= 0 else against, va, vb, size)
+            kind = "common length" if fits else "misfit"
+            yield Term("corridor", bits, "corridor" if bits >= 0 else kind, va, vb, size)
         else:
             gap_a, gap_b = a.z[va[1]] - a.z[va[0]], b.z[vb[1]] - b.z[vb[0]]
             size = (float(abs(gap_a)), float(abs(gap_b)))
             yield Term("position", bits, "distance", va, vb, size)
 
 
-def _branches(a: Prepared, b: Prepared, c: Candidate) -> Iterator[Term]:
+def _branch_terms(a: Prepared, b: Prepared, c: Candidate) -> Iterator[Term]:
     """A term for the branches of each matched junction."""
-    for (u, v), bits in zip(_matched(c), c.support.branches.tolist(), strict=True):
+    for (u, v), bits in zip(_matched_pairs(c), c.support.branches.tolist(), strict=True):
         yield Term("branches", bits, f"{a.count[u]} and {b.count[v]} branches", (u,), (v,))
 
 
-def _views(a: Prepared, b: Prepared, c: Candidate) -> Iterator[Term]:
-    """The parts of the overlap; those that speak most for the placement, and most against it, with
-    the views that do so most, and the junctions nearest to these."""
+def _view_terms(a: Prepared, b: Prepared, c: Candidate) -> Iterator[Term]:
+    """A term for each part of the overlap. The strongest one for the placement and the strongest
+    one against it come with their strongest pair of views and the junctions nearest to these."""
     count, bits = np.bincount(c.views.cell, minlength=len(c.views.bits)), c.views.bits
     for k, part in enumerate(bits.tolist()):
         term = Term("views", part, counted(int(count[k]), "pair of views", "pairs of views"))
@@ -264,36 +268,36 @@ def _views(a: Prepared, b: Prepared, c: Candidate) -> Iterator[Term]:
         if part == 0.0 or k != extreme:
             yield term
             continue
-        own = np.flatnonzero(c.views.cell == k)
-        row = int(own[np.argmax(np.sign(part) * c.views.z[own])])
-        one, two = pictured(a.views), pictured(b.views)
+        rows = np.flatnonzero(c.views.cell == k)
+        row = int(rows[np.argmax(np.sign(part) * c.views.z[rows])])
+        seen_a, seen_b = pictured(a.views), pictured(b.views)
         first, second = int(c.views.first[row]), int(c.views.second[row])
-        near_a = int(np.abs(a.z - one.place[first]).argmin())
-        near_b = int(np.abs(b.z - two.place[second]).argmin())
-        seen = compared(one.index, two.index, (first, second), c.views.transform[row])
-        seen = replace(seen, xy=turned(seen.xy, one.pose[first, 2]))
-        yield replace(term, a=(near_a,), b=(near_b,), seen=seen)
+        near_a = int(np.abs(a.z - seen_a.place[first]).argmin())
+        near_b = int(np.abs(b.z - seen_b.place[second]).argmin())
+        comparison = compare(seen_a.index, seen_b.index, (first, second), c.views.transform[row])
+        comparison = replace(comparison, xy=turned(comparison.xy, seen_a.pose[first, 2]))
+        yield replace(term, a=(near_a,), b=(near_b,), seen=comparison)
 
 
-def _against(a: Prepared, b: Prepared, c: Candidate) -> Iterator[Term]:
+def _conflict_terms(a: Prepared, b: Prepared, c: Candidate) -> Iterator[Term]:
     """A term for each contradiction."""
     described = {
         "unseen": "junction unseen in a corridor",
         "elsewhere": "corridors that lead elsewhere",
     }
-    for x in one_by_one(c.conflicts, a, b):
+    for x in contradictions(c.conflicts, a, b):
         yield Term(x.kind, -x.bits, described[x.kind], x.of_a, x.of_b)
 
 
 def _requirement(merge: Merge, verdict: PairVerdict) -> Requirement:
-    """The requirements for merging. The number of pairs that shared the rate of false merges, all
-    of the merge or those still open when components joined a pair, follows from the threshold."""
+    """The requirements for merging. The number of pairs that share the rate of false merges (all of
+    the merge, or those still open when components joined a pair) follows from the threshold."""
     settings, threshold = merge.settings, verdict.threshold_bits or 0.0
-    least = threshold - 10.0**-BITS / 2  # it was rounded, as pairs will be, up
+    exact_bits = threshold - 10.0**-BITS / 2  # it was rounded, as pairs will be, up
     lead = None if verdict.accepted_by == "components" else verdict.lead_needed_bits
     return Requirement(
         threshold_bits=threshold,
-        pairs=in_steps(round(2.0**least * settings.false_merge_rate)),
+        pairs=rounded_up(round(2.0**exact_bits * settings.false_merge_rate)),
         false_merge_rate=settings.false_merge_rate,
         least_junctions=settings.min_matches,
         lead_bits=MATCH.lead_bits if lead is None else lead,
@@ -304,10 +308,10 @@ def _requirement(merge: Merge, verdict: PairVerdict) -> Requirement:
 def _lock_notes(merge: Merge, verdict: PairVerdict) -> tuple[str, ...]:
     """A note if a lock was set or cleared since the merge, or is infeasible."""
     lock = lock_table(merge.locks).get((verdict.a, verdict.b))
-    now = None if lock is None else lock.decision
-    if now != verdict.locked:
-        what = {"same": "locked as the same", "never": "locked apart", None: "unlocked"}[now]
-        return (f"{what} since the merge; merge again",)
-    if now == "same" and not verdict.accepted:
+    decision = None if lock is None else lock.decision
+    if decision != verdict.locked:
+        words = {"same": "locked as the same", "never": "locked apart", None: "unlocked"}[decision]
+        return (f"{words} since the merge; merge again",)
+    if decision == "same" and not verdict.accepted:
         return (verdict.reason.partition("; the maps alone say")[0],)
     return ()

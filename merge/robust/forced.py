@@ -6,9 +6,10 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from ...topology.columns import take
 from ..locks import Lock
-from .alignment import Candidate, as_sown, best_of_all
-from .links import Links, Seed, candidate_links, seeds
+from .alignment import Candidate, Hypotheses, evaluate_all, ungrown_candidates
+from .links import Seed, candidate_links, seeds
 from .prepare import Prepared
 from .settings import RobustSettings
 
@@ -22,43 +23,43 @@ def forced_alignment(
 ) -> Candidate | None:
     """The best alignment that satisfies a "same" lock; None if there is none.
 
-    candidates: best first. Without a vertex pair: the first. With one: the first that matches the
-    two vertices, else the best match with more evidence for it than against it that corridors at
-    both suggest, as it is or grown, or that is grown from the two with any rotation that aligns a
-    branch of one with a branch of the other. Raises IndexError if a vertex does not exist.
+    candidates: best first. A lock without vertices takes the first. A lock of two vertices takes
+    the first that matches them. If there is none, new hypotheses are tried: those of compatible
+    corridors at both vertices, grown and as they are, and those of aligned branches, grown. The
+    best with positive evidence is taken. Raises IndexError if a vertex does not exist.
     """
     if lock.at is None:
         return candidates[0] if candidates else None
-    fitting = _with(lock.at, candidates)
+    fitting = _matching(lock.at, candidates)
     if not fitting:
-        turned, along = _turned(a, b, *lock.at), _along_corridors(a, b, *lock.at)
-        tested = len(turned) + len(along)
-        found = next(best_of_all([(a, b, [*along, *turned], tested)], settings))
-        # Growth gives up where too little agrees, which is no reason to place the two elsewhere.
-        sown = as_sown((a, b, along, tested)) if along else []
-        likely = [c for c in (*found, *sown) if c.bits > 0]
-        fitting = sorted(_with(lock.at, likely), key=lambda c: -c.bits)
+        by_branches = _branch_seeds(a, b, *lock.at)
+        by_corridors = _corridor_seeds(a, b, *lock.at)
+        tested = len(by_branches) + len(by_corridors)
+        every = Hypotheses(a, b, [*by_corridors, *by_branches], tested)
+        grown = next(evaluate_all([every], settings))
+        # Growth gives up where too little agrees, but the lock rules out other placements.
+        ungrown = ungrown_candidates(every._replace(seeds=by_corridors)) if by_corridors else []
+        likely = [c for c in (*grown, *ungrown) if c.bits > 0]
+        fitting = sorted(_matching(lock.at, likely), key=lambda c: -c.bits)
     return next(iter(fitting), None)
 
 
-def _with(at: tuple[int, int], candidates: Iterable[Candidate]) -> list[Candidate]:
+def _matching(at: tuple[int, int], candidates: Iterable[Candidate]) -> list[Candidate]:
     """The candidates that match two vertices."""
     return [c for c in candidates if np.any((c.a == at[0]) & (c.b == at[1]))]
 
 
-def _along_corridors(a: Prepared, b: Prepared, va: int, vb: int) -> list[Seed]:
-    """Hypotheses of the two vertices and others at the ends of like corridors."""
+def _corridor_seeds(a: Prepared, b: Prepared, va: int, vb: int) -> list[Seed]:
+    """Hypotheses that match two vertices, and others at the far ends of compatible corridors."""
     links = candidate_links(a, b)
     tails = (a.tail[links.a_row] == va) & (b.tail[links.b_row] == vb)
     heads = (a.head[links.a_row] == va) & (b.head[links.b_row] == vb)
-    mine = np.flatnonzero(tails | heads)
-    here = Links(links.a_row[mine], links.b_row[mine], links.theta[mine], links.bits[mine])
-    return seeds(a, b, here, len(here))
+    links = take(links, tails | heads)
+    return seeds(a, b, links, len(links))
 
 
-def _turned(a: Prepared, b: Prepared, va: int, vb: int) -> list[Seed]:
-    """Hypotheses of the two vertices alone, with every rotation that aligns two of their
-    branches."""
+def _branch_seeds(a: Prepared, b: Prepared, va: int, vb: int) -> list[Seed]:
+    """Hypotheses of two vertices alone, with every rotation that aligns two branches."""
     turns = a.heading[va, : a.count[va], None] - b.heading[vb, : b.count[vb]]
     return [
         Seed(

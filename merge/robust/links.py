@@ -18,7 +18,7 @@ from .settings import MATCH
 COS_TURN = float(np.cos(MATCH.turn_rad))
 
 KEY_STEP = 4 * np.pi
-"""Separates pairs of vertices in a sort key that ends with a rotation."""
+"""Distance between pairs of vertices in a sort key that adds a rotation [rad]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,10 +58,10 @@ class Seed:
 
 def windows(low: IntArray, high: IntArray) -> tuple[IntArray, IntArray]:
     """All (i, j) with low[i] <= j < high[i], as two flat arrays."""
-    size = np.maximum(high - low, 0)
-    left = np.arange(len(low)).repeat(size)
-    right = np.arange(len(left)) + (low - size.cumsum() + size)[left]
-    return left, right
+    count = np.maximum(high - low, 0)
+    row = np.arange(len(low)).repeat(count)
+    column = np.arange(len(row)) + (low - count.cumsum() + count)[row]
+    return row, column
 
 
 def candidate_links(a: Prepared, b: Prepared) -> Links:
@@ -76,24 +76,22 @@ def candidate_links(a: Prepared, b: Prepared) -> Links:
     key = a.pattern[:half] * LENGTH_SCALE + a.length[:half]
     low = b.probe_key.searchsorted(key - tolerance)
     high = b.probe_key.searchsorted(key + tolerance)
-    size = high - low
-    if np.add.reduce(size) > MATCH.most_pairs:
-        order = size.argsort(kind="stable")
-        common = order[size[order].cumsum() > MATCH.most_pairs]
-        high[common] = low[common]
-    i, right = windows(low, high)
-    j = b.probe_row[right]
-    variance = a.variance[i] + b.variance[j]
-    d = a.length[i] - b.length[j]
-    fits = (d * d < MATCH.length_sigmas**2 * variance) & (
-        np.abs(a.sagitta[i] - b.sagitta[j]) < MATCH.gate_m
-    )
-    ok = fits.nonzero()[0]
-    i, j = i[ok], j[ok]
-    theta = np.asarray(wrap(a.angle[i] - b.angle[j]))
-    bits = length_bits(d[ok], variance[ok]) + np.minimum(a.rarity[i], b.rarity[j])
-    ends = np.minimum(a.end_information[i], b.end_information[j])
-    return Links(i, j, theta, np.minimum(bits, MATCH.most_bits) + 0.5 * ends)
+    count = high - low
+    if np.add.reduce(count) > MATCH.most_pairs:
+        order = count.argsort(kind="stable")
+        most_common = order[count[order].cumsum() > MATCH.most_pairs]
+        high[most_common] = low[most_common]
+    row_a, probe = windows(low, high)
+    row_b = b.probe_row[probe]
+    variance = a.variance[row_a] + b.variance[row_b]
+    d = a.length[row_a] - b.length[row_b]
+    bow = np.abs(a.sagitta[row_a] - b.sagitta[row_b])
+    fits = ((d * d < MATCH.length_sigmas**2 * variance) & (bow < MATCH.gate_m)).nonzero()[0]
+    row_a, row_b = row_a[fits], row_b[fits]
+    theta = np.asarray(wrap(a.angle[row_a] - b.angle[row_b]))
+    bits = length_bits(d[fits], variance[fits]) + np.minimum(a.rarity[row_a], b.rarity[row_b])
+    ends = np.minimum(a.end_information[row_a], b.end_information[row_b])
+    return Links(row_a, row_b, theta, np.minimum(bits, MATCH.most_bits) + 0.5 * ends)
 
 
 def seeds(
@@ -105,8 +103,8 @@ def seeds(
     rival_bits: float = np.inf,
     first: Sequence[Seed] = (),
 ) -> list[Seed]:
-    """The best `most` connected components of the association graph, as seeds of growth; and, as
-    rivals, other components with more than `rival_bits`, as many as are grown at once.
+    """The best `most` connected components of the association graph as seeds, best first; and as
+    rivals others with more than `rival_bits`, as many as are grown at once.
 
     first: the seeds of the best `most`, if they are known. Nodes of the graph are (vertex a, vertex
     b, rotation), edges the links (§2.3). Inside a component the transforms of its links vote, so
@@ -118,20 +116,21 @@ def seeds(
     label = link_components(
         a.tail[i] * len(b) + b.tail[j], a.head[i] * len(b) + b.head[j], links.theta
     )
-    total = np.bincount(label, weights=links.bits)
-    rivals = min(np.count_nonzero(total > rival_bits), MATCH.at_once // len(b))
-    best = (-total).argsort(kind="stable")[: max(most, rivals)]
-    best = best[total[best] > MATCH.weak_share * total[best[0]]]
-    crowd = np.bincount(label)[label] > 1
+    bits = np.bincount(label, weights=links.bits)
+    rivals = min(np.count_nonzero(bits > rival_bits), MATCH.at_once // len(b))
+    best = (-bits).argsort(kind="stable")[: max(most, rivals)]
+    best = best[bits[best] > MATCH.weak_share * bits[best[0]]]
+    has_neighbour = np.bincount(label)[label] > 1
     mid_a, mid_b = a.middle[links.a_row], b.middle[links.b_row]
     found = list(first)
     known = most if first else 0
-    for place, component in enumerate(best[known:].tolist(), known):
-        mine = label == component
-        rows, turn = _agreeing(links, mid_a, mid_b, mine.nonzero()[0])
-        seed = _seed(a, b, links, mid_a, mid_b, rows=rows, turn=turn, others=crowd & ~mine)
-        if all(_differ(seed, other) for other in found):
-            found.append(replace(seed, rival=place >= most))
+    for rank, component in enumerate(best[known:].tolist(), known):
+        inside = label == component
+        rows, turn = _largest_consensus(links, mid_a, mid_b, inside.nonzero()[0])
+        others = has_neighbour & ~inside
+        seed = _seed(a, b, links, mid_a, mid_b, rows=rows, turn=turn, others=others)
+        if all(_are_distinct(seed, other) for other in found):
+            found.append(replace(seed, rival=rank >= most))
     found.sort(key=lambda s: -s.bits)
     return found
 
@@ -147,35 +146,35 @@ def link_components(tail: IntArray, head: IntArray, theta: FloatArray) -> IntArr
     k = len(theta)
     key = np.concatenate([tail, head]) * KEY_STEP + np.concatenate([theta, theta])
     order = key.argsort(kind="stable")
-    fresh = np.zeros(2 * k, np.int64)
-    fresh[1:] = np.diff(key[order]) > MATCH.turn_rad
-    number = fresh.cumsum()
+    is_new = np.zeros(2 * k, np.int64)
+    is_new[1:] = np.diff(key[order]) > MATCH.turn_rad
+    number = is_new.cumsum()
     node = np.empty(2 * k, np.int64)
     node[order] = number
-    one, two = node[:k], node[k:]
+    start, end = node[:k], node[k:]
     label = np.arange(int(number[-1]) + 1)
     while True:
-        low = np.minimum(label[one], label[two])
-        sunk = label.copy()
-        np.minimum.at(sunk, label[one], low)
-        np.minimum.at(sunk, label[two], low)
-        sunk = sunk[sunk]
-        if (sunk == label).all():
-            return np.asarray(label[one])
-        label = sunk
+        lowest = np.minimum(label[start], label[end])
+        lowered = label.copy()
+        np.minimum.at(lowered, label[start], lowest)
+        np.minimum.at(lowered, label[end], lowest)
+        lowered = lowered[lowered]
+        if (lowered == label).all():
+            return np.asarray(label[start])
+        label = lowered
 
 
 def _slack(apart_m: FloatArray) -> FloatArray:
-    """Tolerance [m] between placements of b by two links of one alignment that are `apart_m` apart:
-    that of growth, and twice its drift per metre, because both may be rotated."""
+    """Tolerance [m] between placements of b by two links of one alignment, `apart_m` from each
+    other: that of growth, with twice its drift per metre, because both links may be rotated."""
     return MATCH.gate_m + 2 * MATCH.drift_per_m * apart_m
 
 
-def _agreeing(
+def _largest_consensus(
     links: Links, mid_a: ComplexArray, mid_b: ComplexArray, rows: IntArray
 ) -> tuple[IntArray, float]:
-    """The links of a component that agree on the transform with the most bits, and their mean
-    rotation [rad]."""
+    """Rows of the links of a component that agree with the transform of one of them, with the most
+    bits in all, and their mean rotation [rad]."""
     if len(rows) == 1:
         return rows, float(links.theta[rows[0]])
     most = isqrt(MATCH.most_pairs)  # each votes on each
@@ -184,11 +183,12 @@ def _agreeing(
     theta, za, zb = links.theta[rows], mid_a[rows], mid_b[rows]
     gap_b = zb[None, :] - zb[:, None]
     unit = np.exp(1j * theta)
-    apart = np.abs(za[:, None] + unit[:, None] * gap_b - za)
-    votes = (apart < _slack(np.abs(gap_b))) & ((unit[:, None] * unit.conj()).real > COS_TURN)
-    at = int((votes @ links.bits[rows]).argmax())
-    agree = rows[votes[at]]
-    return agree, float(theta[at] + wrap(links.theta[agree] - theta[at]).sum() / len(agree))
+    gap = np.abs(za[:, None] + unit[:, None] * gap_b - za)
+    votes = (gap < _slack(np.abs(gap_b))) & ((unit[:, None] * unit.conj()).real > COS_TURN)
+    best = int((votes @ links.bits[rows]).argmax())
+    agreeing = rows[votes[best]]
+    mean_offset = wrap(links.theta[agreeing] - theta[best]).sum() / len(agreeing)
+    return agreeing, float(theta[best] + mean_offset)
 
 
 def _seed(
@@ -210,20 +210,21 @@ def _seed(
     shift = middle_a - unit * middle_b
     strength = sum(links.bits[rows].tolist())
     if others.any():
-        torn = np.abs(unit * mid_b + shift - mid_a) < _slack(np.abs(mid_b - middle_b))
-        near = others & torn & (np.abs(wrap(links.theta - turn)) < MATCH.turn_rad)
-        rows = np.concatenate([rows, near.nonzero()[0]])
+        compatible = np.abs(unit * mid_b + shift - mid_a) < _slack(np.abs(mid_b - middle_b))
+        alike = others & compatible & (np.abs(wrap(links.theta - turn)) < MATCH.turn_rad)
+        rows = np.concatenate([rows, alike.nonzero()[0]])
     row_a, row_b = links.a_row[rows], links.b_row[rows]
     va = np.concatenate([a.tail[row_a], a.head[row_a]]).tolist()
     vb = np.concatenate([b.tail[row_b], b.head[row_b]]).tolist()
     # A vertex with two partners keeps the first: that of the component itself.
-    partner = dict(zip(reversed(va), reversed(vb), strict=True))
-    claimed = {partner[u]: u for u in sorted(partner)}
-    pb = sorted(claimed)
-    return Seed(np.array([claimed[v] for v in pb]), np.array(pb), turn, shift, strength)
+    partner_of_a = dict(zip(reversed(va), reversed(vb), strict=True))
+    partner_of_b = {partner_of_a[u]: u for u in sorted(partner_of_a)}
+    vertices_b = sorted(partner_of_b)
+    vertices_a = [partner_of_b[v] for v in vertices_b]
+    return Seed(np.array(vertices_a), np.array(vertices_b), turn, shift, strength)
 
 
-def _differ(x: Seed, y: Seed) -> bool:
+def _are_distinct(x: Seed, y: Seed) -> bool:
     """Whether two seeds place b differently."""
     turned = abs(float(wrap(x.theta - y.theta)))
     return turned > MATCH.turn_rad or abs(x.shift - y.shift) > MATCH.place_m

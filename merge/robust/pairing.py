@@ -1,9 +1,7 @@
-"""The pairwise stage: results of earlier merges are looked up, other pairs are matched, here or by
-workers.
+"""The pairwise stage: earlier results are looked up, other pairs matched, here or by workers.
 
 A task is pairs of maps matched by one worker, as a pure function. It names maps by run and content
-digest; the worker reads them. Results come back as bytes, whoever made them, so that one process,
-many, and a cache give the same numbers.
+digest; the worker reads them. All results are bytes: one process, many, and a cache agree.
 """
 
 from __future__ import annotations
@@ -28,7 +26,7 @@ from .conflicts import Conflicts, Unseen
 from .prepare import Prepared, prepare
 from .settings import DEFAULT_ROBUST, MATCH, RobustSettings
 from .support import Support
-from .verdict import Faint, beyond_chance_bits, faint_of
+from .verdict import Faint, beyond_chance_bits, faint_alignment
 from .view_evidence import ViewEvidence
 
 Pair = tuple[int, int]
@@ -46,13 +44,13 @@ class TaskSettings:
     """How pairs are divided among workers, without influence on the results."""
 
     tile: int = 16
-    """Maps per side of the tiles in which pairs are taken; a task is at most one tile: a map that
-    is read serves a row of it, and the overhead of a task is small beside a second of work. Even
-    few pairs are divided into as many tasks, for the sake of several workers."""
+    """Maps per side of a tile of pairs. A task is at most one tile: a map that is read serves a row
+    of it, and the overhead of a task is small beside a second of work. Even few pairs are divided
+    into so many tasks, so that several workers have some."""
     of_views: int = 50
-    """Pairs of maps without views that take as long as one with views: some .1 s of CPU time."""
+    """Pairs of maps without views that take as long as one with views: about .1 s of CPU time."""
     at_hand: int = 256
-    """Maps that a worker caches, and that the index searches at once: some 100 kB each."""
+    """Maps that a worker caches, and that the index searches at once: about 100 kB each."""
 
 
 TASKS = TaskSettings()
@@ -62,8 +60,8 @@ TASKS = TaskSettings()
 class MatchTask:
     """Pairs to be matched.
 
-    kind: of the records wanted; runs: name and digest of each map; pairs: (k, 2) rows of them;
-    read: gives the maps, if they are not at hand.
+    kind: of match; runs: name and digest of each map; pairs: (k, 2) rows of these; read: gives
+    uncached maps.
     """
 
     kind: Kind
@@ -74,14 +72,13 @@ class MatchTask:
 
 
 def tile_order(pairs: IntArray) -> IntArray:
-    """The order in which (k, 2) pairs are taken, tile by tile."""
+    """Row numbers that order (k, 2) pairs tile by tile."""
     tile = pairs // TASKS.tile
     return np.lexsort((tile[:, 1], tile[:, 0]))
 
 
 def era_of(settings: RobustSettings) -> bytes:
-    """Digest that changes whenever results may: of the program, the libraries and the settings of
-    matching."""
+    """Digest of what results depend on beside maps: program, libraries and settings."""
     values = asdict(replace(settings, false_merge_rate=DEFAULT_ROBUST.false_merge_rate))
     program = program_digest("topology", "merge").hex()
     parts = [program, np.__version__, scipy.__version__, values]
@@ -90,19 +87,19 @@ def era_of(settings: RobustSettings) -> bytes:
 
 
 HEAD = struct.Struct("<Idd")
-"""Head of the result of matching two maps: junctions and evidence of the best alignment if none is
-beyond chance, else 0; largest evidence against chance. The candidates follow, if there are any."""
+"""Head of the result of a match: junctions and bits of the best alignment if none is beyond chance,
+else 0; largest evidence against chance. Candidates beyond chance follow, if there are any."""
 
 CLASSES = {cls.__name__: cls for cls in (Candidate, Support, Conflicts, Unseen, ViewEvidence)}
 
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """The result of matching two maps, in short.
+    """The head of the result of a match.
 
     faint: the best alignment if none is beyond chance; against_chance: largest evidence against
-    chance of any alignment with enough junctions to be merged [bits]; full: whether there are
-    candidates.
+    chance of any alignment with enough junctions to be merged [bits]; full: whether candidates are
+    beyond chance.
     """
 
     faint: Faint | None = None
@@ -111,7 +108,7 @@ class Summary:
 
     @classmethod
     def of(cls, data: bytes) -> Summary:
-        """What the bytes of a result say."""
+        """The head of the bytes of a result."""
         junctions, bits, against_chance = HEAD.unpack_from(data)
         faint = Faint(junctions, bits) if junctions else None
         return cls(faint, against_chance, len(data) > HEAD.size)
@@ -123,50 +120,50 @@ def candidates_of(data: bytes) -> tuple[Candidate, ...]:
 
 
 def result_of(found: tuple[Candidate, ...], settings: RobustSettings) -> bytes:
-    """What is kept of the candidates of a pair: those beyond chance, or a summary of the best."""
+    """The bytes kept of the candidates of a pair: those beyond chance, or a summary of the best."""
     beyond = tuple(c for c in found if c.bits > MATCH.lead_bits)
     against_chance = beyond_chance_bits(beyond or found, settings)
     if beyond:
         return HEAD.pack(0, 0.0, against_chance) + codec.to_bytes(beyond)
-    faint = faint_of(found) or Faint(0, 0.0)
+    faint = faint_alignment(found) or Faint(0, 0.0)
     return HEAD.pack(faint.junctions, faint.bits, against_chance)
 
 
-def matched(task: MatchTask) -> tuple[bytes, list[bytes]]:
-    """Do a task in a worker process: the worker's era, and the result of each pair."""
+def do_task(task: MatchTask) -> tuple[bytes, list[bytes]]:
+    """Do a task in a worker process. Returns the worker's era, and the result of each pair."""
     run_of = {digest: run for run, digest in task.runs}
 
     def ready(digest: bytes) -> Prepared:
         if digest not in _ready:
             if len(_ready) >= TASKS.at_hand:
                 _ready.clear()
-            _ready[digest] = prepare(_as_merged(task.read, run_of[digest], digest))
+            _ready[digest] = prepare(_unchanged_map(task.read, run_of[digest], digest))
         return _ready[digest]
 
     return era_of(task.settings), match_task(task, ready)
 
 
-_ready: dict[bytes, Prepared] = {}  # in a worker: maps that the last tasks asked for
+_ready: dict[bytes, Prepared] = {}  # in a worker: the maps of its last tasks
 
 
-def _as_merged(read: ReadMap | None, run: str, digest: bytes) -> TopoMap:
+def _unchanged_map(read: ReadMap | None, run: str, digest: bytes) -> TopoMap:
     """The map of a run; DataError if it is not that of the digest."""
-    found = None if read is None else read(run)
-    if found is None or digest_of(found) != digest:
+    topomap = None if read is None else read(run)
+    if topomap is None or digest_of(topomap) != digest:
         raise DataError(f"the map of run {run!r} changed while it was merged; merge again")
-    return found
+    return topomap
 
 
 def match_task(task: MatchTask, ready: Ready) -> list[bytes]:
-    """Do a task: the result of each pair."""
+    """Do a task. Returns the result of each pair."""
     digests = [digest for _, digest in task.runs]
     pairs = [(digests[i], digests[j]) for i, j in task.pairs.tolist()]
     if task.kind is Kind.ITSELF:
-        every = self_matches((ready(digest) for digest, _ in pairs), task.settings)
+        candidates = self_matches((ready(digest) for digest, _ in pairs), task.settings)
     else:
-        both = ((ready(a), ready(b)) for a, b in pairs)
-        every = match_all(both, task.settings, thorough=task.kind is Kind.THOROUGH)
-    return [result_of(found, task.settings) for found in every]
+        maps = ((ready(a), ready(b)) for a, b in pairs)
+        candidates = match_all(maps, task.settings, thorough=task.kind is Kind.THOROUGH)
+    return [result_of(found, task.settings) for found in candidates]
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,20 +171,20 @@ class Means:
     """How the pairs of a batch are matched, without influence on the results.
 
     workers: executors that read the maps by `read`; this process where one of the two is None;
-    kept: known results, of the era of the settings; on_pair(done, total): progress, first with what
-    is known already; tell: called with one line of text per event.
+    kept: known results, of the era of the settings; on_pair(done, total): called for progress,
+    first with the number of known results; on_event: called with one line of text per event.
     """
 
     workers: Workers | None = None
     read: ReadMap | None = None
     kept: Kept = field(default_factory=Kept)
     on_pair: Callable[[int, int], None] | None = None
-    tell: Callable[[str], None] | None = None
+    on_event: Callable[[str], None] | None = None
 
-    def say(self, text: str) -> None:
-        """Report an event, if `tell` is given."""
-        if self.tell is not None:
-            self.tell(text)
+    def log(self, text: str) -> None:
+        """Report an event, if `on_event` is given."""
+        if self.on_event is not None:
+            self.on_event(text)
 
 
 class Pairwise:
@@ -204,17 +201,17 @@ class Pairwise:
         self.digests = [self.means.kept.digest(m) for m in maps]
         self._row = {digest: k for k, digest in enumerate(self.digests)}
 
-    def pairs(self, wanted: IntArray) -> list[Summary]:
-        """The result of matching each of (k, 2) pairs, in short."""
-        return self._all(Kind.PAIR, wanted, Summary.of, reported=True)
+    def pairs(self, pairs: IntArray) -> list[Summary]:
+        """The summary of the match of each of (k, 2) pairs."""
+        return self._all(Kind.PAIR, pairs, Summary.of, reported=True)
 
-    def candidates(self, wanted: IntArray) -> list[tuple[Candidate, ...]]:
-        """The candidates of each of (k, 2) pairs; none where none is beyond chance."""
-        return self._all(Kind.PAIR, wanted, candidates_of)
+    def candidates(self, pairs: IntArray) -> list[tuple[Candidate, ...]]:
+        """The candidates beyond chance of each of (k, 2) pairs."""
+        return self._all(Kind.PAIR, pairs, candidates_of)
 
-    def thorough(self, wanted: IntArray) -> list[tuple[Candidate, ...]]:
-        """The same with all other hypotheses beyond chance, and evidence of the mirror image."""
-        return self._all(Kind.THOROUGH, wanted, candidates_of, reported=True)
+    def thorough(self, pairs: IntArray) -> list[tuple[Candidate, ...]]:
+        """The same, with rivals and the evidence of the mirror image (`match`)."""
+        return self._all(Kind.THOROUGH, pairs, candidates_of, reported=True)
 
     def with_themselves(self) -> list[tuple[Candidate, ...]]:
         """Matches of every map with other parts of itself."""
@@ -222,44 +219,44 @@ class Pairwise:
         return self._all(Kind.ITSELF, rows, candidates_of, reported=True)
 
     def _all(
-        self, kind: Kind, wanted: IntArray, read: Callable[[bytes], T], *, reported: bool = False
+        self, kind: Kind, pairs: IntArray, read: Callable[[bytes], T], *, reported: bool = False
     ) -> list[T]:
-        """The result of each pair, in their order, as `read` gives it. Unknown pairs are
-        matched."""
+        """The result of each pair, in order, as `read` decodes it. Unknown pairs are matched.
+        reported: whether progress and the number of known results are reported."""
         kept, done = self.means.kept, 0
-        keys = [(self.digests[i], self.digests[j]) for i, j in wanted.tolist()]
+        keys = [(self.digests[i], self.digests[j]) for i, j in pairs.tolist()]
 
-        def report(more: int) -> None:
+        def report(count: int) -> None:
             nonlocal done
-            done += more
+            done += count
             if kind is Kind.PAIR and reported and self.means.on_pair is not None:
-                self.means.on_pair(done, len(wanted))
+                self.means.on_pair(done, len(pairs))
 
-        known = (None if data is None else read(data) for data in kept.find(kind, keys))
-        out = dict(enumerate(known))
-        missing = np.array([k for k, found in out.items() if found is None], np.int64)
-        report(len(wanted) - len(missing))
-        if reported and len(wanted):
-            known_already = f"{len(wanted) - len(missing)} are known already"
-            self.means.say(f"{kind}: {len(wanted)}, of which {known_already}")
-        for places, results in self._matched(kind, wanted, missing):
-            for place, data in zip(places, results, strict=True):
-                kept.add(kind, keys[place], data)
-                out[place] = read(data)
-            report(len(places))
-        return [found for found in out.values() if found is not None]
+        known_results = (None if data is None else read(data) for data in kept.find(kind, keys))
+        results = dict(enumerate(known_results))
+        missing = np.array([k for k, found in results.items() if found is None], np.int64)
+        report(len(pairs) - len(missing))
+        if reported and len(pairs):
+            already = f"{len(pairs) - len(missing)} are known already"
+            self.means.log(f"{kind}: {len(pairs)}, of which {already}")
+        for rows, new_results in self._match_missing(kind, pairs, missing):
+            for row, data in zip(rows, new_results, strict=True):
+                kept.add(kind, keys[row], data)
+                results[row] = read(data)
+            report(len(rows))
+        return [found for found in results.values() if found is not None]
 
-    def _matched(
-        self, kind: Kind, wanted: IntArray, missing: IntArray
+    def _match_missing(
+        self, kind: Kind, pairs: IntArray, missing: IntArray
     ) -> Iterator[tuple[list[int], list[bytes]]]:
         """New results: positions of pairs, and the result of each."""
-        tasks = list(self._tasks(kind, wanted, missing))
+        tasks = list(self._tasks(kind, pairs, missing))
         workers = None if self.means.read is None else self.means.workers
-        if workers is None or len(tasks) < 2 or self._work(wanted[missing]) < workers.worth:
+        if workers is None or len(tasks) < 2 or self._work(pairs[missing]) < workers.worth:
             yield from ((at, match_task(task, self._ready)) for at, task in tasks)
             return
         era = era_of(self.settings)
-        for k, (of_worker, results) in workers.results(matched, [task for _, task in tasks]):
+        for k, (of_worker, results) in workers.results(do_task, [task for _, task in tasks]):
             if of_worker != era:
                 raise DataError(
                     "a worker runs another version of topobatch, numpy or scipy than this "
@@ -267,24 +264,24 @@ class Pairwise:
                 )
             yield tasks[k][0], results
 
-    def _work(self, wanted: IntArray) -> int:
-        """How long (k, 2) pairs take to match, in pairs of maps without views."""
+    def _work(self, pairs: IntArray) -> int:
+        """The time that (k, 2) pairs take to match, in pairs of maps without views."""
         has_views = np.array([len(m.views) > 0 for m in self.maps])
-        return len(wanted) + TASKS.of_views * int(has_views[wanted].all(axis=1).sum())
+        return len(pairs) + TASKS.of_views * int(has_views[pairs].all(axis=1).sum())
 
     def _ready(self, digest: bytes) -> Prepared:
-        # Of several maps that are the same but for their names any will do.
+        # Maps of different names may have one digest: any of them will do.
         return self.prepared[self._row[digest]]
 
     def _tasks(
-        self, kind: Kind, wanted: IntArray, missing: IntArray
+        self, kind: Kind, pairs: IntArray, missing: IntArray
     ) -> Iterator[tuple[list[int], MatchTask]]:
         """The missing pairs tile by tile, with their positions."""
-        order = missing[tile_order(wanted[missing])]
+        order = missing[tile_order(pairs[missing])]
         size = min(TASKS.tile**2, max(-(-len(order) // TASKS.tile), 1))
         for start in range(0, len(order), size):
-            places = order[start : start + size]
-            maps, rows = np.unique(wanted[places], return_inverse=True)
+            batch = order[start : start + size]
+            maps, rows = np.unique(pairs[batch], return_inverse=True)
             task = MatchTask(
                 kind=kind,
                 runs=tuple((self.maps[k].run, self.digests[k]) for k in maps.tolist()),
@@ -292,4 +289,4 @@ class Pairwise:
                 settings=self.settings,
                 read=self.means.read,
             )
-            yield places.tolist(), task
+            yield batch.tolist(), task

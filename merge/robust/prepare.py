@@ -34,7 +34,7 @@ class NearestNeighbours:
     def of(cls, z: ComplexArray) -> NearestNeighbours:
         """Build the structure. O(n log n)."""
         centre = complex(z.mean()) if len(z) else 0j
-        points = _points(z - centre)
+        points = as_points(z - centre)
         half = (points * points).sum(axis=1) / 2
         tree = cKDTree(points) if len(z) else None
         return cls(z, centre, np.ascontiguousarray(points.T), half, tree)
@@ -42,36 +42,36 @@ class NearestNeighbours:
     def __len__(self) -> int:
         return len(self.z)
 
-    def nearest(self, where: ComplexArray, within_m: float) -> tuple[FloatArray, IntArray]:
+    def nearest(self, queries: ComplexArray, within_m: float) -> tuple[FloatArray, IntArray]:
         """(k,) each: distances of `where` (k,) to the nearest points, and their indices.
 
         For queries without a point within `within_m` the distance is only known to be larger, and
         the index may be out of range.
         """
         if self.tree is None:
-            return np.full(len(where), np.inf), np.zeros(len(where), np.int64)
-        moved = where - self.centre
-        if len(where) * len(self.z) > MATCH.most_pairs:
-            gap, index = self.tree.query(_points(moved), distance_upper_bound=within_m)
-            return np.asarray(gap), np.asarray(index)
+            return np.full(len(queries), np.inf), np.zeros(len(queries), np.int64)
+        centred = queries - self.centre
+        if len(queries) * len(self.z) > MATCH.most_pairs:
+            distance, index = self.tree.query(as_points(centred), distance_upper_bound=within_m)
+            return np.asarray(distance), np.asarray(index)
         # Nearest is where |w - z|² = |w|² - 2 (w · z - |z|² / 2) is least.
-        score = _points(moved) @ self.across
+        score = as_points(centred) @ self.across
         score -= self.half
         index = score.argmax(axis=1)
-        return np.abs(where - self.z[index]), index
+        return np.abs(queries - self.z[index]), index
 
 
-def _points(z: ComplexArray) -> FloatArray:
+def as_points(z: ComplexArray) -> FloatArray:
+    """(n, 2) points x, y of complex numbers (n,)."""
     return np.ascontiguousarray(z).view(np.float64).reshape(-1, 2)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Neighbours:
-    """The q nearest junctions of each of n junctions, itself first.
+    """The q nearest junctions of each of n junctions, itself first, padded by itself.
 
-    index: (n, q), the junction itself where there are no more; distance_m: (n, q) [m], inf where
-    there are no more; rarity: (n, q) -log2 density [1/m] of neighbours at this distance; weight:
-    (n, q) of their matches in predicting the junction.
+    index: (n, q); distance_m: (n, q) [m], inf for padding; rarity: (n, q) -log2 density [1/m] of
+    neighbours at this distance; weight: (n, q) of their matches in predicting the junction.
     """
 
     index: IntArray
@@ -81,7 +81,7 @@ class Neighbours:
 
     @classmethod
     def of(cls, points: NearestNeighbours) -> Neighbours:
-        """The neighbours of each of some junctions. O(n log n)."""
+        """The neighbours of each junction among all. O(n log n)."""
         index = np.arange(len(points)).repeat(MATCH.neighbours).reshape(-1, MATCH.neighbours)
         distance_m = np.full(index.shape, np.inf)
         if points.tree is not None:
@@ -97,7 +97,7 @@ class Neighbours:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CorridorsByEnds:
-    """Directed corridors sorted by the vertices they join: key: (k,) tail * n + head; row: (k,)."""
+    """Directed corridors sorted by their end vertices: key: (k,) tail * n + head; row: (k,)."""
 
     key: IntArray
     row: IntArray
@@ -113,18 +113,17 @@ class CorridorsByEnds:
         """(q,) each: the first corridor of each key, and whether there is one."""
         if not len(self.key):
             return np.zeros(len(key), np.int64), np.zeros(len(key), np.bool_)
-        at = np.minimum(self.key.searchsorted(key), len(self.key) - 1)
-        return self.row[at], self.key[at] == key
+        position = np.minimum(self.key.searchsorted(key), len(self.key) - 1)
+        return self.row[position], self.key[position] == key
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CorridorPoints:
     """r points along corridors, about `MATCH.clear_m` apart and as far from their ends.
 
-    z: (r,) x + iy [m]; direction: (r,) tangents as unit numbers; edge: (r,) row of the directed
-    corridor, from source to target of its edge; tail, head: (r,) vertices that it leads from and
-    to; share: (r,) projection on the chord, 0 at the tail … 1 at the head; end_m: (r,) distance
-    from the nearer end [m].
+    z: (r,) x + iy [m]; direction: (r,) tangents as unit numbers; edge: (r,) row of the corridor,
+    directed from source to target; tail, head: (r,) its end vertices; share: (r,) projection on the
+    chord, 0 at the tail … 1 at the head; end_m: (r,) distance from the nearer end [m].
     """
 
     z: ComplexArray
@@ -223,18 +222,17 @@ class Prepared:
 def prepare(topomap: TopoMap) -> Prepared:
     """Prepare a map for matching; pure and picklable. O(n log n).
 
-    Positions are the map's own embedding (§3); directed corridors and the patterns of branches at
-    their ends are what §2 compares, indexed here so that compatible ones are found by bisection.
+    Positions are the map's own embedding (§3). Directed corridors and the patterns of branches at
+    their ends, which §2 compares, are indexed so that compatible ones are found by bisection.
     """
     m = topomap
     z = m.xy[:, 0] + 1j * m.xy[:, 1]
     heading, count = padded_branches(m), m.branches.counts
-    observations = np.maximum(np.bincount(m.observation_vertex, minlength=len(z)), 1).astype(
-        np.int64
-    )
+    passes = np.bincount(m.observation_vertex, minlength=len(z))
+    observations = np.maximum(passes, 1).astype(np.int64)
     # No loops, and none without a length.
-    long = np.abs(z[m.source] - z[m.target]) > LEAST_M
-    rows = np.flatnonzero((m.source != m.target) & long)
+    has_length = np.abs(z[m.source] - z[m.target]) > LEAST_M
+    rows = np.flatnonzero((m.source != m.target) & has_length)
     tail = np.concatenate([m.source[rows], m.target[rows]])
     head = np.concatenate([m.target[rows], m.source[rows]])
     leave = np.concatenate([m.source_branch[rows], m.target_branch[rows]])
@@ -245,16 +243,16 @@ def prepare(topomap: TopoMap) -> Prepared:
     variance = _length_variance(m.noise, length, traversals, observations[tail], observations[head])
     sagitta, points = _corridor_shapes(m, rows, z)
     offset = branch_offsets(heading, count, tail, leave, angle)
-    near_masks = sector_masks(offset)
-    mask = near_masks[0]
+    masks = sector_masks(offset)
+    mask = masks[0]
     pattern = mask * 16 + mask[reverse]
     self_information, turn_rarity = pattern_bits(heading, count)
     branch_variance = m.noise.branch_rad**2 * (0.5 + 1 / observations) + MATCH.floor_rad**2
     fault_rate = _fault_rate(m.noise, observations)
     alike, alike_pairs = density_of_equals(length)
-    probe_key, probe_row = pattern_keys(near_masks[1], reverse, length)
+    probe_key, probe_row = pattern_keys(masks[1], reverse, length)
     nearest_junction = NearestNeighbours.of(z)
-    unit = unit_headings(heading)
+    branch_unit = unit_headings(heading)
     return Prepared(
         topomap=m,
         z=z,
@@ -262,7 +260,7 @@ def prepare(topomap: TopoMap) -> Prepared:
         count=count,
         observations=observations,
         turn_rarity=turn_rarity,
-        branch_unit=unit,
+        branch_unit=branch_unit,
         fault_rate=fault_rate,
         descriptor=np.column_stack(
             [count, branch_variance, fault_rate, self_information, np.log(m.confidence)]
@@ -305,54 +303,56 @@ def _corridor_shapes(
     and resampled by one interpolation over the arc length.
     """
     if len(rows) == 0:
-        none, rows_, numbers = np.zeros(0, np.complex128), np.zeros(0, np.int64), np.zeros(0)
-        return numbers, CorridorPoints(none, none, rows_, rows_, rows_, numbers, numbers)
+        empty, no_rows, reals = np.zeros(0, np.complex128), np.zeros(0, np.int64), np.zeros(0)
+        return reals, CorridorPoints(empty, empty, no_rows, no_rows, no_rows, reals, reals)
     tail, head = m.source[rows], m.target[rows]
     paths = [m.paths[r] for r in rows.tolist()]
-    size = np.array([len(path) for path in paths])
+    count = np.array([len(path) for path in paths])
     flat = np.concatenate(paths)
-    line = flat[:, 0] + 1j * flat[:, 1]
-    first = np.concatenate([[0], np.cumsum(size)[:-1]])
-    step = np.abs(np.diff(line, prepend=line[:1]))
-    step[first] = 0.0
+    z_path = flat[:, 0] + 1j * flat[:, 1]
+    start_row = np.concatenate([[0], np.cumsum(count)[:-1]])
+    step = np.abs(np.diff(z_path, prepend=z_path[:1]))
+    step[start_row] = 0.0
     arc = np.cumsum(step)
-    start, end = arc[first], arc[first + size - 1]
+    start_m, end_m = arc[start_row], arc[start_row + count - 1]
     # A strictly increasing abscissa for np.interp: consecutive polylines are 1e-6 apart.
-    at = arc + np.repeat(np.arange(len(rows)), size) * 1e-6
+    abscissa = arc + np.repeat(np.arange(len(rows)), count) * 1e-6
     shift = np.arange(len(rows)) * 1e-6
 
     def point(s: FloatArray) -> ComplexArray:
-        return np.asarray(np.interp(s, at, line.real) + 1j * np.interp(s, at, line.imag))
+        x, y = (np.interp(s, abscissa, part) for part in (z_path.real, z_path.imag))
+        return np.asarray(x + 1j * y)
 
     chord = z[head] - z[tail]
     unit = chord / np.abs(chord)
-    middle = point((start + end) / 2 + shift)
-    bow = ((middle - (z[tail] + z[head]) / 2) * unit.conj()).imag
-    inner = np.maximum(end - start - 2 * MATCH.clear_m, 0.0)
-    pieces = np.ceil(inner / MATCH.clear_m).astype(np.int64)
-    owner, nth = numbered(pieces)
-    s = (start + shift)[owner] + MATCH.clear_m + (nth + 0.5) / pieces[owner] * inner[owner]
+    middle = point((start_m + end_m) / 2 + shift)
+    sagitta = ((middle - (z[tail] + z[head]) / 2) * unit.conj()).imag
+    inner_m = np.maximum(end_m - start_m - 2 * MATCH.clear_m, 0.0)
+    samples = np.ceil(inner_m / MATCH.clear_m).astype(np.int64)
+    corridor, number = numbered(samples)
+    along_m = (number + 0.5) / samples[corridor] * inner_m[corridor]
+    s = (start_m + shift)[corridor] + MATCH.clear_m + along_m
     tangent = point(s + MATCH.clear_m / 2) - point(s - MATCH.clear_m / 2)
     tangent = tangent / np.maximum(np.abs(tangent), 1e-9)
-    at_tail, at_head, where = z[tail[owner]], z[head[owner]], point(s)
+    at_tail, at_head, position = z[tail[corridor]], z[head[corridor]], point(s)
     points = CorridorPoints(
-        z=where,
+        z=position,
         direction=tangent,
-        edge=owner,
-        tail=tail[owner],
-        head=head[owner],
-        share=np.clip(((where - at_tail) / chord[owner]).real, 0.0, 1.0),
-        end_m=np.minimum(np.abs(where - at_tail), np.abs(where - at_head)),
+        edge=corridor,
+        tail=tail[corridor],
+        head=head[corridor],
+        share=np.clip(((position - at_tail) / chord[corridor]).real, 0.0, 1.0),
+        end_m=np.minimum(np.abs(position - at_tail), np.abs(position - at_head)),
     )
-    return np.concatenate([bow, -bow]), points
+    return np.concatenate([sagitta, -sagitta]), points
 
 
 def _by_branch(shape: tuple[int, ...], tail: IntArray, leave: IntArray) -> IntArray:
     """(n, d) the first corridor that leaves a junction by each of its branches, -1 for none."""
-    out = np.full(shape, -1, np.int64)
+    first_corridor = np.full(shape, -1, np.int64)
     rows = np.flatnonzero(leave != NO_BRANCH)[::-1]
-    out[tail[rows], leave[rows]] = rows
-    return out
+    first_corridor[tail[rows], leave[rows]] = rows
+    return first_corridor
 
 
 def _fault_rate(noise: RunNoise, observations: IntArray) -> FloatArray:

@@ -1,6 +1,6 @@
 """Matching the merged maps of components: the evidence of many runs, every junction counted once.
 
-Two components with an undecided pair of runs across them are joined if their merged maps say so.
+Two components with an undecided pair of runs between them are joined if their merged maps match.
 The threshold is that of the pairs of runs not joined yet: as long as nothing was merged wrongly, a
 wrong merge can only be one of these (Holm's procedure: Scandinavian Journal of Statistics 6, 1979;
 without implied pairs, Shaffer: JASA 81, 1986).
@@ -12,6 +12,7 @@ from collections import defaultdict
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import product
 
 import numpy as np
 
@@ -33,25 +34,28 @@ from ..result import (
     pairs_of,
     site_views,
 )
-from .alignment import Candidate, laid_over, match
+from .alignment import Candidate, fit_matches, match
 from .components import Components
 from .pairing import Pair, Pairwise, candidates_of, result_of
 from .prepare import Prepared, prepare
 from .thresholds import ThresholdOf
-from .verdict import Assessment, Threshold, assess_all
+from .verdict import Assessment, Matched, Threshold, assess_all
 from .wording import describe_evidence
 
 Runs = tuple[int, ...]
 
 
 class MergedMap:
-    """The merged map of some runs, made on first access. inside: the verdicts that join them."""
+    """The merged map of some runs, made on first access.
+
+    runs: rows in the batch, sorted; maps: theirs; inside: the verdicts that join them.
+    """
 
     def __init__(
-        self, runs: Runs, own: Sequence[TopoMap], inside: Sequence[PairVerdict], kept: Kept
+        self, runs: Runs, maps: Sequence[TopoMap], inside: Sequence[PairVerdict], kept: Kept
     ) -> None:
         self.runs = runs
-        self.maps = dict(zip(runs, own, strict=True))
+        self.maps = dict(zip(runs, maps, strict=True))
         self._inside = inside
         self._kept = kept
 
@@ -62,7 +66,7 @@ class MergedMap:
 
     @cached_property
     def digest(self) -> bytes:
-        """Digest of all that it follows from."""
+        """Digest of the maps and verdicts that it is made of."""
         return component_digest(list(self.maps.values()), self._inside, self._kept)
 
     @cached_property
@@ -73,7 +77,7 @@ class MergedMap:
 
     @cached_property
     def members(self) -> Sequence[Mapping[str, tuple[int, ...]]]:
-        """For each vertex, the vertices of the runs behind it."""
+        """For each vertex, the vertices of its runs that were fused into it, by run."""
         if len(self.runs) > 1:
             return self._fused[1].members
         (alone,) = self.maps.values()
@@ -81,18 +85,18 @@ class MergedMap:
 
     @cached_property
     def as_map(self) -> TopoMap:
-        """As the map of one run that saw everything."""
-        own = list(self.maps.values())
-        return own[0] if len(own) == 1 else _as_map(*self._fused, own)
+        """The same as the map of one run that saw everything."""
+        maps = list(self.maps.values())
+        return maps[0] if len(maps) == 1 else _as_single_run(*self._fused, maps)
 
     @cached_property
     def prepared(self) -> Prepared:
-        """Prepared for matching."""
+        """The same, prepared for matching."""
         return prepare(self.as_map)
 
 
 class MergedMaps:
-    """The merged maps of groups of runs of a batch, and what matching them finds."""
+    """The merged maps of groups of runs of a batch, and their matches."""
 
     def __init__(self, matcher: Pairwise) -> None:
         self._matcher = matcher
@@ -100,62 +104,59 @@ class MergedMaps:
         self._made: dict[Runs, MergedMap] = {}
 
     def of(self, runs: Runs, accepted: Mapping[Pair, Alignment]) -> MergedMap:
-        """The merged map of some runs, sorted, by the accepted alignments between them, which stay
-        the same as long as the runs do."""
+        """The merged map of some runs, sorted, by the accepted alignments between them."""
         if runs not in self._made:
-            maps, inside, those = self._matcher.maps, [], set(runs)
-            for i, j in sorted(pair for pair in accepted if those.issuperset(pair)):
+            maps, inside = self._matcher.maps, []
+            for i, j in sorted(pair for pair in accepted if set(runs).issuperset(pair)):
                 best = accepted[i, j]
                 bits, names = float(len(best.matched)), (maps[i].run, maps[j].run)
                 inside.append(PairVerdict(*names, Verdict.MERGED, True, bits, "", best=best))
-            made = MergedMap(runs, [maps[i] for i in runs], inside, self._kept)
+            merged = MergedMap(runs, [maps[i] for i in runs], inside, self._kept)
             if len(runs) == 1:
-                made.prepared = self._matcher.prepared[runs[0]]
-            self._made[runs] = made
+                merged.prepared = self._matcher.prepared[runs[0]]
+            self._made[runs] = merged
         return self._made[runs]
 
-    def candidates(self, one: MergedMap, two: MergedMap) -> tuple[Candidate, ...]:
-        """The candidates of two of them that are beyond chance."""
+    def candidates(self, a: MergedMap, b: MergedMap) -> tuple[Candidate, ...]:
+        """The candidates of two merged maps that are beyond chance."""
         settings = self._matcher.settings
 
-        def found() -> bytes:
-            every = match(one.prepared, two.prepared, settings, thorough=True)
-            return result_of(every, settings)
+        def result() -> bytes:
+            return result_of(match(a.prepared, b.prepared, settings, thorough=True), settings)
 
-        return candidates_of(self._kept.result(Kind.THOROUGH, (one.digest, two.digest), found))
+        return candidates_of(self._kept.result(Kind.THOROUGH, (a.digest, b.digest), result))
 
 
-def _as_map(component: Component, fused: FusedMap, own: Sequence[TopoMap]) -> TopoMap:
+def _as_single_run(component: Component, fused: FusedMap, topomaps: Sequence[TopoMap]) -> TopoMap:
     """A fused map as the map of one run that saw everything, with the noise of the worst run."""
-    maps = {m.run: m for m in own}
+    by_name = {m.run: m for m in topomaps}
     fields = RunNoise.__dataclass_fields__
-    noise = RunNoise(**{name: max(getattr(m.noise, name) for m in own) for name in fields})
-    whole = component_map(MergeResult((component,), fused, ()), component.id, "+".join(maps))
+    noise = RunNoise(**{name: max(getattr(m.noise, name) for m in topomaps) for name in fields})
+    whole = component_map(MergeResult((component,), fused, ()), component.id, "+".join(by_name))
     return replace(
         whole,
         noise=noise,
-        shows_bends=any(m.shows_bends for m in own),
-        confidence=fused_confidence(fused.members, maps),
-        views=_thinned(site_views(fused, component, maps)),
+        shows_bends=any(m.shows_bends for m in topomaps),
+        confidence=fused_confidence(fused.members, by_name),
+        views=_thin(site_views(fused, component, by_name)),
     )
 
 
 VIEWS_APART_M = 2.0
-"""Views of a merged map are as far apart at least: those of a run are 3 m apart, so that what one
-run has left out another may fill in, and no place counts for each of its runs."""
+"""Least distance of the views of a merged map, so that no place counts once for each run. Those of
+a run are 3 m apart, so that views of another run may fill its gaps."""
 
 
-def _thinned(views: Sequence[Views]) -> Views:
-    """Views of several runs as those of one: each is `VIEWS_APART_M` from all before it that are
-    kept."""
+def _thin(views: Sequence[Views]) -> Views:
+    """Views of several runs as those of one: each `VIEWS_APART_M` from those before it."""
     if not views:
         return NO_VIEWS
-    every = joined(views)
-    xy = every.pose[:, :2]
+    concatenated = joined(views)
+    xy = concatenated.pose[:, :2]
     kept = np.zeros(len(xy), np.bool_)
-    for k, at in enumerate(xy):
-        kept[k] = not np.any(np.hypot(*(xy[:k][kept[:k]] - at).T) < VIEWS_APART_M)
-    return take(every, kept)
+    for k, position in enumerate(xy):
+        kept[k] = not np.any(np.hypot(*(xy[:k][kept[:k]] - position).T) < VIEWS_APART_M)
+    return take(concatenated, kept)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -177,21 +178,21 @@ Sides = tuple[Runs, Runs]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Union:
-    """Two components that their evidence joins, and the alignments of pairs of their runs that
-    follow, the strongest first."""
+    """Two components that their evidence joins, and the alignments of pairs of their runs that the
+    match implies, the strongest first."""
 
-    one: MergedMap
-    two: MergedMap
+    a: MergedMap
+    b: MergedMap
     assessment: Assessment
-    links: Mapping[Pair, Alignment]
+    implied: Mapping[Pair, Alignment]
 
-    def of_pairs(self) -> Iterator[tuple[Pair, ComponentMatch]]:
-        """What it says of pairs of runs."""
-        known, best = {**self.one.maps, **self.two.maps}, self.assessment
-        for pair, alignment in self.links.items():
-            others = sorted(m.run for k, m in known.items() if k not in pair)
-            reason = f"together with {listed(others, 4)}: {describe_evidence(best)}"
-            yield pair, ComponentMatch(alignment, reason, best, (self.one.names, self.two.names))
+    def pair_matches(self) -> Iterator[tuple[Pair, ComponentMatch]]:
+        """The match of each pair of runs."""
+        maps, sides = {**self.a.maps, **self.b.maps}, (self.a.names, self.b.names)
+        for pair, alignment in self.implied.items():
+            others = sorted(m.run for k, m in maps.items() if k not in pair)
+            reason = f"together with {listed(others, 4)}: {describe_evidence(self.assessment)}"
+            yield pair, ComponentMatch(alignment, reason, self.assessment, sides)
 
 
 @dataclass(slots=True, eq=False)
@@ -200,8 +201,9 @@ class Rematcher:
 
     Changes `components`. The strongest union of each round is carried out and its component fused
     again, so that every decision uses all that is known. undecided: pairs with a placement better
-    than chance; threshold: for some runs in a batch of so many pairs; unmet: the junctions that
-    locks name as one place, of the pairs that no alignment of their own joins so.
+    than chance; threshold: for some runs in a batch of so many pairs; discarded: pairs whose match
+    the user discarded; unmet: for locked pairs without an alignment that satisfies the lock, the
+    junctions that it names.
     """
 
     matcher: Pairwise
@@ -217,21 +219,20 @@ class Rematcher:
         self._merged = MergedMaps(self.matcher)
 
     def run(self, joined: Mapping[Pair, Alignment]) -> dict[Pair, ComponentMatch]:
-        """The pairs joined by their components; joined: the alignments of the pairs joined
-        before."""
+        """The pairs joined by their components. joined: alignments of the pairs joined before."""
         accepted = dict(joined)
         matches: dict[Pair, ComponentMatch] = {}
-        while found := self._unions(accepted):
-            strongest = max(found, key=lambda m: (m.assessment.bits, m.one.runs, m.two.runs))
-            accepted.update(strongest.links)
-            matches.update(strongest.of_pairs())
-            (i, j), first = next(iter(strongest.links.items()))
-            self.components.join(i, j, first.transform)
+        while unions := self._unions(accepted):
+            strongest = max(unions, key=lambda u: (u.assessment.bits, u.a.runs, u.b.runs))
+            accepted.update(strongest.implied)
+            matches.update(strongest.pair_matches())
+            (i, j), alignment = next(iter(strongest.implied.items()))
+            self.components.join(i, j, alignment.transform)
         return matches
 
-    def _open(self) -> list[Sides]:
-        """Pairs of components with an undecided pair across them that are not both single runs, and
-        that neither a lock nor a discarded match, which would be found again, keeps apart."""
+    def _open_components(self) -> list[Sides]:
+        """Pairs of components with an undecided pair of runs between them. Left out are pairs of
+        single runs, and those that a lock or a discarded match keeps apart."""
         members, head = self.components.members, self.components.head
         self.undecided = [(i, j) for i, j in self.undecided if head[i] != head[j]]
         across = {(head[i], head[j]) for i, j in self.undecided}
@@ -248,8 +249,8 @@ class Rematcher:
         )
 
     def _unions(self, accepted: Mapping[Pair, Alignment]) -> list[_Union]:
-        """The unions of components whose evidence suffices. That of two by a threshold is computed
-        once for all rounds.
+        """The unions of components with sufficient evidence. That of two components by one
+        threshold is computed once for all rounds.
 
         The threshold against chance is shared by the remaining pairs, after Holm. The threshold
         against copies could be as well: as long as nothing was merged wrongly, a wrong merge can
@@ -259,57 +260,64 @@ class Rematcher:
         for `explain`.
         """
         members = self.components.members.values()
-        left = pairs_of(len(self.matcher.maps)) - sum(pairs_of(len(runs)) for runs in members)
-        open_ = [((x, y), self.threshold((*x, *y), left)) for x, y in self._open()]
-        fresh = [key for key in open_ if key not in self._known]
-        cases = []
-        for (x, y), threshold in fresh:
-            one, two = self._merged.of(x, accepted), self._merged.of(y, accepted)
-            cases.append((one, two, self._merged.candidates(one, two), threshold))
-        assessed = assess_all([(one.prepared, two.prepared, c, t) for one, two, c, t in cases])
-        for key, (one, two, *_), assessment in zip(fresh, cases, assessed, strict=True):
-            self._known[key] = self._union(one, two, assessment)
-        return [union for key in open_ if (union := self._known[key]) is not None]
+        remaining = pairs_of(len(self.matcher.maps)) - sum(pairs_of(len(runs)) for runs in members)
+        sides = self._open_components()
+        keys = [((a, b), self.threshold((*a, *b), remaining)) for a, b in sides]
+        unknown = [key for key in keys if key not in self._known]
+        merged = [[self._merged.of(runs, accepted) for runs in sides] for sides, _ in unknown]
+        assessments = assess_all(
+            [
+                Matched(a.prepared, b.prepared, self._merged.candidates(a, b), threshold)
+                for (a, b), (_, threshold) in zip(merged, unknown, strict=True)
+            ]
+        )
+        for key, (a, b), assessment in zip(unknown, merged, assessments, strict=True):
+            self._known[key] = self._union(a, b, assessment)
+        return [union for key in keys if (union := self._known[key]) is not None]
 
-    def _union(self, one: MergedMap, two: MergedMap, assessment: Assessment) -> _Union | None:
-        """The union of two components; None if there is too little evidence for it, or if it does
-        not honour a lock."""
+    def _union(self, a: MergedMap, b: MergedMap, assessment: Assessment) -> _Union | None:
+        """The union of two components; None without the evidence, or if a lock is not satisfied."""
         if assessment.verdict is not Verdict.MERGED or assessment.best is None:
             return None
-        links = _links(one, two, assessment)
-        if not links:
+        implied = _implied_alignments(a, b, assessment)
+        if not implied:
             return None
-        for (i, j), at in self.unmet.items():
-            across = (i in one.runs and j in two.runs) or (j in one.runs and i in two.runs)
-            if across and not ((i, j) in links and np.all(links[i, j].matched == at, axis=1).any()):
+        for pair, at in self.unmet.items():
+            i, j = pair
+            across = (i in a.runs and j in b.runs) or (j in a.runs and i in b.runs)
+            honoured = pair in implied and np.all(implied[pair].matched == at, axis=1).any()
+            if across and not honoured:
                 return None
-        return _Union(one, two, assessment, links)
+        return _Union(a, b, assessment, implied)
 
 
-def _links(one: MergedMap, two: MergedMap, found: Assessment) -> dict[Pair, Alignment]:
+def _implied_alignments(
+    a: MergedMap, b: MergedMap, assessment: Assessment
+) -> dict[Pair, Alignment]:
     """The alignments of pairs of runs that a match of two fused maps implies, the pairs with most
     common junctions first.
 
-    A pair is linked by the matched places that both its runs saw; pairs with fewer than three are
-    left out, unless there are no others: then the best one with at least two counts.
+    A pair is aligned by the matched junctions that both its runs saw. Pairs with fewer than three
+    are left out, unless there are no others: then the best one with at least two counts.
     """
-    best = found.best
+    best = assessment.best
     assert best is not None
-    known = {**one.maps, **two.maps}
-    number = {m.run: k for k, m in known.items()}
+    maps = {**a.maps, **b.maps}
+    number = {m.run: k for k, m in maps.items()}
     shared: dict[Pair, list[tuple[int, int]]] = defaultdict(list)
-    for p, q in zip(best.a.tolist(), best.b.tolist(), strict=True):
-        for run_i, vertices_i in sorted(one.members[p].items()):
-            for run_j, vertices_j in sorted(two.members[q].items()):
-                ends = (number[run_i], vertices_i[0]), (number[run_j], vertices_j[0])
-                (i, u), (j, v) = sorted(ends)
-                shared[i, j].append((u, v))
+    for vertex_a, vertex_b in zip(best.a.tolist(), best.b.tolist(), strict=True):
+        seen_a, seen_b = sorted(a.members[vertex_a].items()), sorted(b.members[vertex_b].items())
+        for (run_a, of_a), (run_b, of_b) in product(seen_a, seen_b):
+            (i, u), (j, v) = sorted([(number[run_a], of_a[0]), (number[run_b], of_b[0])])
+            shared[i, j].append((u, v))
     ranked = sorted(shared.items(), key=lambda item: (-len(item[1]), item[0]))
     strong = [item for item in ranked if len(item[1]) >= 3]
-    out = {}
+    implied = {}
     for (i, j), pairs in strong or [item for item in ranked[:1] if len(item[1]) >= 2]:
         matched = np.array(sorted(pairs), np.int64)
-        transform, rmse = laid_over(known[i].xy[matched[:, 0]], known[j].xy[matched[:, 1]])
-        corridors, asked = len(best.corridors), found.copy_test
-        out[i, j] = Alignment(transform, found.bits, matched, rmse, corridors, copy_test=asked)
-    return out
+        transform, rmse = fit_matches(maps[i].xy[matched[:, 0]], maps[j].xy[matched[:, 1]])
+        corridors, test = len(best.corridors), assessment.copy_test
+        implied[i, j] = Alignment(
+            transform, assessment.bits, matched, rmse, corridors, copy_test=test
+        )
+    return implied

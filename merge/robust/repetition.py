@@ -1,4 +1,4 @@
-"""The test for copies: is this the place, or another copy of the same design?
+"""The test for copies: is this the same place, or another copy of the same design?
 
 Where a building repeats itself, a match with the wrong wing is much better than chance, too. But
 two measurements of one place differ by noise alone, while two copies differ by more.
@@ -30,30 +30,30 @@ class CopySettings:
     """Assumptions on copies, beside `copy_variation` and `copy_change_rate`."""
 
     exact_prior: tuple[float, ...] = (0.15, 0.25, 0.26, 0.22, 0.119, 0.001)
-    """Prior odds, from none to all in equal steps, of the share of corridors that two copies have
-    built exactly alike, before any map has shown how exactly it repeats itself: two fifths on
-    average. Conservative: with it offices keep the promised rate (`benchmarks/calibration.py`)."""
+    """Prior of the share of corridors that two copies have built exactly alike, from none to all in
+    equal steps: two fifths on average. It holds before any map has shown how exactly it repeats
+    itself. Conservative: with it offices keep the promised rate (`benchmarks/calibration.py`)."""
     most_changed: float = 0.5
-    """Upper bound of the share of junctions that differ between copies, whatever the maps' matches
-    with themselves show: many of these are chance, not copies (`benchmarks/calibration.py`). Also
-    of the detectors' fault rate, beyond which changes would carry no information."""
+    """Upper bound of the share of junctions that differ between copies. Many matches of maps with
+    themselves are chance, not copies, and show more (`benchmarks/calibration.py`). Also the upper
+    bound of the detectors' fault rate: beyond, changes would carry no information."""
     most_stated: float = 0.3
-    """Fault rates beyond are those of saved maps, of which doors and furniture of other times are
-    part: upper bounds, against which two maps of one plan differ so little that they could be no
-    copies. They are bounded by what the alignment shows. Without it maps of offices of one plan,
-    drawn without noise, are merged (`benchmarks/grids.py`)."""
+    """Fault rates beyond this one are bounded by the changes that the alignment shows. Such rates
+    are stated by saved maps, which contain doors and furniture of other times. They are upper
+    bounds: measured by them, any two maps of one plan would be the same place. Without it maps of
+    offices of one plan, drawn without noise, are merged (`benchmarks/grids.py`)."""
 
 
 COPIES = CopySettings()
 
 ROUNDING_NATS = np.sqrt(np.finfo(float).eps)
-"""The bound is never negative; for a typical copy it is 0 up to this rounding error."""
+"""Rounding error of the bound, which is 0 for a typical copy and never negative."""
 
 WORST_NATS = LIKELIHOOD.most
 """Bound on the evidence of a single corridor: it may have been measured past a junction."""
 
 TOGETHER = 2**6
-"""Alignments per batch, to fit the processor's cache."""
+"""Alignments of a batch, which fits the processor's cache."""
 
 TILTS = np.concatenate([np.linspace(0.0, 1.0, 6), [1.25, 1.6, 2.0, 2.5, 3.2, 4.0]])
 """Exponents tried in the Chernoff bound."""
@@ -69,9 +69,9 @@ SHARES = np.linspace(0.0, 1.0, len(COPIES.exact_prior))
 
 @dataclass(frozen=True, slots=True)
 class Sameness:
-    """bits: -log2 of an upper bound of the probability that a copy looks this much the same,
-    negative where a typical copy looks more so; compared: junctions compared; changed: how many of
-    them differ."""
+    """Result of the test for copies. bits: -log2 of an upper bound of the probability that a copy
+    agrees as well, negative where a typical copy agrees better; compared: number of junctions
+    compared; changed: number of these that differ."""
 
     bits: float
     compared: int
@@ -96,61 +96,60 @@ def default_copies(settings: RobustSettings) -> CopyModel:
     return CopyModel(settings.copy_variation, COPIES.exact_prior, settings.copy_change_rate)
 
 
-def sameness_of(
+def sameness(
     cases: Sequence[tuple[Prepared, Prepared, Candidate]], copies: CopyModel
 ) -> Iterator[Sameness]:
-    """Evidence that alignments are the place itself and not a copy, from lengths and changes.
+    """Evidence that alignments are of one place and not of copies, from lengths and changes.
 
     Lengths: differences of common corridors. Changes: junctions that differ in their branches, or
-    that only one map has, occur at the runs' fault rates in one place, more often between copies.
-    The statistic T is the log likelihood ratio of the two, a sum over corridors and junctions. The
-    result is a Chernoff bound of the probability that a copy reaches it: the minimum over x of
-    E[exp(x (T' - T))] with T' the statistic of a copy (x = 1 gives the likelihood ratio itself, so
-    that the bound is never worse).
+    that only one map has. In one place these occur at the runs' fault rates, between copies more
+    often. The statistic T is the log likelihood ratio of the two, a sum over corridors and
+    junctions. The result is a Chernoff bound of the probability that a copy reaches it: the minimum
+    over x of E[exp(x (T' - T))] with T' the statistic of a copy (x = 1 gives the likelihood ratio
+    itself, so that the bound is never worse).
     """
     for start in range(0, len(cases), TOGETHER):
-        yield from _sameness_of(cases[start : start + TOGETHER], copies)
+        yield from _batch_sameness(cases[start : start + TOGETHER], copies)
 
 
-def _sameness_of(
+def _batch_sameness(
     cases: Sequence[tuple[Prepared, Prepared, Candidate]], copies: CopyModel
 ) -> Iterator[Sameness]:
     matched = np.array([len(c) for _, _, c in cases])
-    differing, usual = _differing(cases, np.cumsum([0, *matched]))
-    against = np.array([len(c.conflicts) for _, _, c in cases])
-    changed, compared = differing + against, matched + against
-    stated = np.minimum(usual, COPIES.most_changed)
-    seen = np.minimum(stated, (changed + 1) / (compared + 1))
-    fault = np.where(stated > COPIES.most_stated, seen, stated)
+    differing, expected = _count_differing(cases, np.cumsum([0, *matched]))
+    conflicts = np.array([len(c.conflicts) for _, _, c in cases])
+    changed, compared = differing + conflicts, matched + conflicts
+    stated = np.minimum(expected, COPIES.most_changed)
+    observed = np.minimum(stated, (changed + 1) / (compared + 1))
+    fault = np.where(stated > COPIES.most_stated, observed, stated)
     change = fault + (1 - fault) * copies.change_rate
-    kept_nats, changed_nats = np.log((1 - fault) / (1 - change)), np.log(fault / change)
-    parts = [_Lengths.of(a, b, c.corridors, copies.variation) for a, b, c in cases]
-    shape, ends = joined(parts), np.cumsum([0, *(len(part.d2) for part in parts)])
-    share = float(np.dot(copies.exact_odds, SHARES))
-    nats = _sums(shape.odds(shape.d2, share), ends)
-    nats += (compared - changed) * kept_nats + changed * changed_nats
+    same_nats, changed_nats = np.log((1 - fault) / (1 - change)), np.log(fault / change)
+    lengths = [_Lengths.of(a, b, c.corridors, copies.variation) for a, b, c in cases]
+    all_lengths, ends = joined(lengths), np.cumsum([0, *(len(part.d2) for part in lengths)])
+    exact_share = float(np.dot(copies.exact_odds, SHARES))
+    nats = _sums(all_lengths.odds(all_lengths.d2, exact_share), ends)
+    nats += (compared - changed) * same_nats + changed * changed_nats
     tilts = TILTS[:, None]
-    spread = compared * np.log(
-        (1 - change) * np.exp(tilts * kept_nats) + change * np.exp(tilts * changed_nats)
+    of_changes = compared * np.log(
+        (1 - change) * np.exp(tilts * same_nats) + change * np.exp(tilts * changed_nats)
     )
-    tilted = tilts * nats - spread - _sums(shape.tilted(share), ends)  # (share, tilt, case)
-    weight = np.log(copies.exact_odds)[:, None]
-    bound = -np.logaddexp.reduce(weight - tilted.max(axis=1), axis=0)
+    of_lengths = _sums(all_lengths.tilted(exact_share), ends)
+    tilted = tilts * nats - of_changes - of_lengths  # (share, tilt, case)
+    log_prior = np.log(copies.exact_odds)[:, None]
+    bound = -np.logaddexp.reduce(log_prior - tilted.max(axis=1), axis=0)
     # Below the value of a typical copy the statistic itself is used, for ranking.
     bits = np.where(bound <= ROUNDING_NATS, np.minimum(nats, 0.0), bound) / BIT
     return map(Sameness, bits.tolist(), compared.tolist(), changed.tolist())
 
 
-def _differing(
+def _count_differing(
     cases: Sequence[tuple[Prepared, Prepared, Candidate]], ends: IntArray
 ) -> tuple[IntArray, FloatArray]:
     """For each alignment the number of matched junctions that differ in their branches, and the
-    share expected from the detectors' faults and confidences: of these junctions, or of both maps'
-    where walls alone are matched."""
-    number: dict[int, int] = {}
-    rows = np.array([[number.setdefault(id(m), len(number)) for m in (a, b)] for a, b, _ in cases])
-    maps = {id(m): m for a, b, _ in cases for m in (a, b)}
-    atlas = Atlas.of([maps[key] for key in number])
+    share expected from faults and confidences of the detectors. Without a matched junction, the
+    latter is that of all junctions of the maps. ends: (cases + 1,) first match of each alignment.
+    """
+    atlas, rows = Atlas.of_pairs([(a, b) for a, b, _ in cases])
     first = atlas.vertex[rows.repeat(np.diff(ends), axis=0)]
     va = np.concatenate([c.a for _, _, c in cases]) + first[:, 0]
     vb = np.concatenate([c.b for _, _, c in cases]) + first[:, 1]
@@ -158,32 +157,32 @@ def _differing(
     differs = np.where(lonely_branches(atlas.whole, atlas.whole, va, vb, turn) > 0, 1.0, 0.0)
     fault = atlas.whole.fault_rate[va] + atlas.whole.fault_rate[vb]
     fault += 1 - atlas.whole.confidence[va] * atlas.whole.confidence[vb]
-    anywhere = [0.0 if len(c) else _usual_fault(a) + _usual_fault(b) for a, b, c in cases]
-    usual = _sums(fault, ends) / np.maximum(np.diff(ends), 1) + anywhere
-    return _sums(differs, ends).astype(np.int64), usual
+    expected = _sums(fault, ends) / np.maximum(np.diff(ends), 1)
+    expected += [0.0 if len(c) else _mean_fault_rate(a) + _mean_fault_rate(b) for a, b, c in cases]
+    return _sums(differs, ends).astype(np.int64), expected
 
 
-def _usual_fault(m: Prepared) -> float:
-    """The share of a map's junctions that faults of its detector and confidences leave open."""
+def _mean_fault_rate(m: Prepared) -> float:
+    """Share of a map's junctions that may differ by faults of the detector or low confidence."""
     return float(np.mean(m.fault_rate + 1 - m.confidence))
 
 
 def size_sigmas(a: Prepared, b: Prepared, corridors: IntArray) -> float:
-    """By how many standard deviations one map is larger than the other over all corridors.
+    """The difference in size of two maps over all corridors, in standard deviations.
 
-    A copy of another size is larger throughout, which single corridors do not show because each may
-    be off by its odometry's scale. corridors: (c, 2) matched directed rows.
+    A copy of another size is larger throughout. Single corridors do not show this: each may be off
+    by its odometry's scale. corridors: (c, 2) matched directed rows.
     """
     mean, variance = size_difference(a, b, corridors)
     return abs(mean) / float(np.sqrt(a.noise.scale**2 + b.noise.scale**2 + variance))
 
 
 def fits_by_noise(a: Prepared, b: Prepared, corridors: IntArray) -> float:
-    """Probability that two looks at one place differ by as much in their lengths (χ²).
+    """Probability that two measurements of one place differ as much in their lengths (χ²).
 
-    corridors: (c, 2) matched directed rows. None of them is far off, or it would not agree. Noise
-    is at least what the median of them shows: where a map is bent more than it states all corridors
-    are off, but copies are alike in most.
+    corridors: (c, 2) matched directed rows, none of which differs by far, or it would not match.
+    The noise is at least that of their median: where a map is bent more than it states, all
+    corridors differ, while copies differ in few.
     """
     from scipy.special import chdtrc
 
@@ -191,33 +190,33 @@ def fits_by_noise(a: Prepared, b: Prepared, corridors: IntArray) -> float:
     squares = lengths.d2 / lengths.noise
     if len(squares) == 0:
         return 1.0
-    usual = np.median(squares) / MEDIAN_CHI2
-    return float(chdtrc(len(squares), squares.sum() / max(usual, 1.0)))
+    inflation = np.median(squares) / MEDIAN_CHI2
+    return float(chdtrc(len(squares), squares.sum() / max(inflation, 1.0)))
 
 
 def size_difference(a: Prepared, b: Prepared, corridors: IntArray) -> tuple[float, float]:
-    """Relative difference in size, a over b minus 1, and its variance without the odometries' scale
-    errors; 0 and inf if no corridor can be compared."""
+    """Relative difference in size, a / b - 1, and its variance without the scale errors of the
+    odometries; 0 and inf without corridors. corridors: (c, 2) matched directed rows."""
     i, j = corridors[:, 0], corridors[:, 1]
-    one, two = a.length[i], b.length[j]
-    off, variance = one - two, a.variance[i] + b.variance[j]
-    fits = np.abs(off) < MATCH.length_sigmas * np.sqrt(variance)
-    variance = variance - (a.noise.scale * one) ** 2 - (b.noise.scale * two) ** 2
-    long = (one + two) / 2
-    weight = np.where(fits, long**2 / variance, 0.0)
+    length_a, length_b = a.length[i], b.length[j]
+    difference, variance = length_a - length_b, a.variance[i] + b.variance[j]
+    fits = np.abs(difference) < MATCH.length_sigmas * np.sqrt(variance)
+    variance = variance - (a.noise.scale * length_a) ** 2 - (b.noise.scale * length_b) ** 2
+    mean_length = (length_a + length_b) / 2
+    weight = np.where(fits, mean_length**2 / variance, 0.0)
     total = float(weight.sum())
     if total == 0.0:
         return 0.0, np.inf
-    return float((weight * off / long).sum()) / total, 1 / total
+    return float((weight * difference / mean_length).sum()) / total, 1 / total
 
 
 def _sums(values: FloatArray, ends: IntArray) -> FloatArray:
     """Sums over the last axis between consecutive `ends`; 0 for empty ranges."""
-    some = np.flatnonzero(np.diff(ends))
-    out = np.zeros((*values.shape[:-1], len(ends) - 1))
-    if len(some):
-        out[..., some] = np.add.reduceat(values, ends[some], axis=-1)
-    return out
+    filled = np.flatnonzero(np.diff(ends))
+    sums = np.zeros((*values.shape[:-1], len(ends) - 1))
+    if len(filled):
+        sums[..., filled] = np.add.reduceat(values, ends[filled], axis=-1)
+    return sums
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -245,11 +244,11 @@ class _Lengths:
     def odds(self, d2: FloatArray, share: float) -> FloatArray:
         """Log likelihood ratio [nats] of the same place against a copy with `share` of its
         corridors exactly alike."""
-        whole = self.noise + self.built
-        ahead = 0.5 * np.log(self.noise / whole)  # of the varied density over the exact one
-        ahead = ahead - np.minimum(d2 * (0.5 / whole), WORST_NATS)
-        ahead += np.minimum(d2 * (0.5 / self.noise), WORST_NATS)
-        return np.asarray(-np.log(share + (1 - share) * np.exp(ahead)))
+        variance = self.noise + self.built
+        log_ratio = 0.5 * np.log(self.noise / variance)  # of the varied density over the exact one
+        log_ratio = log_ratio - np.minimum(d2 * (0.5 / variance), WORST_NATS)
+        log_ratio += np.minimum(d2 * (0.5 / self.noise), WORST_NATS)
+        return np.asarray(-np.log(share + (1 - share) * np.exp(log_ratio)))
 
     def averaged(self, share: float) -> float:
         """Log likelihood [nats] of the differences between copies."""
@@ -277,22 +276,21 @@ def _normal(d2: FloatArray, variance: FloatArray) -> FloatArray:
 def copy_model(
     samples: Sequence[tuple[Prepared, Candidate]], settings: RobustSettings
 ) -> CopyModel:
-    """The copy model, updated by maps that match other parts of themselves.
+    """The copy model, updated by matches of maps with other parts of themselves (`samples`).
 
     If a building repeats itself to the centimetre within one map, it will do so across maps: equal
     lengths are then no evidence, and only changes can distinguish a place from its copy.
     """
     prior = default_copies(settings)
-    odds = np.log(prior.exact_odds)
-    changed, places = 1.0, 1 / settings.copy_change_rate  # as if one change had been seen
-    told = sameness_of([(m, m, c) for m, c in samples], prior)
-    for (m, c), same in zip(samples, told, strict=True):
-        shape = _Lengths.of(m, m, c.corridors, prior.variation)
+    log_odds = np.log(prior.exact_odds)
+    changed, compared = 1.0, 1 / settings.copy_change_rate  # as if one change had been seen
+    results = sameness([(m, m, c) for m, c in samples], prior)
+    for (m, c), result in zip(samples, results, strict=True):
+        lengths = _Lengths.of(m, m, c.corridors, prior.variation)
         # Half, because every pair of copies is found twice.
-        odds = odds + np.array([shape.averaged(share) for share in SHARES]) / 2
-        changed += max(same.changed - 2 * _usual_fault(m) * same.compared, 0.0)
-        places += same.compared
-    odds = np.exp(odds - np.logaddexp.reduce(odds))
-    return CopyModel(
-        prior.variation, tuple(odds.tolist()), min(changed / places, COPIES.most_changed)
-    )
+        log_odds = log_odds + np.array([lengths.averaged(share) for share in SHARES]) / 2
+        changed += max(result.changed - 2 * _mean_fault_rate(m) * result.compared, 0.0)
+        compared += result.compared
+    exact_odds = np.exp(log_odds - np.logaddexp.reduce(log_odds)).tolist()
+    change_rate = min(changed / compared, COPIES.most_changed)
+    return CopyModel(prior.variation, tuple(exact_odds), change_rate)

@@ -1,12 +1,12 @@
 """Screening: which pairs of a batch are matched; in a large batch those that an index selects.
 
 Matching begins with links: corridors of two maps of equal length, curvature and branches at their
-ends. A correct alignment has many consistent ones. The index finds them for one map in all others
-at once, a hundred times faster than matching the maps. Its recall on pairs that would be merged is
+ends. A correct alignment has many consistent ones. The index finds the links of one map with all
+others at once, a hundred times faster than matching. Its recall on pairs that would be merged is
 measured by `benchmarks/fleet.py --recall`.
 
-Maps with views may agree in their walls alone: such a map is matched with those whose views look
-most alike, by a descriptor of each view that does not depend on its rotation.
+Maps with views may agree in their walls alone. Such a map is also matched with the maps of the most
+similar views, by rotation-invariant descriptors.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ from .settings import MATCH, RobustSettings
 from .verdict import needed_bits
 
 SHARE = 0.6
-"""Connected links must have this share of the bits that merging needs. With 0.75 still nothing was
-lost of 1,354 pairs of runs that matching all 79,800 pairs joins (`benchmarks/fleet.py --recall 400
---first 5000`). Of 692 pairs beyond chance, nearly all copies in offices, 29 are screened out
-(`--beyond 160 --first 5000`): these do not count among the pairs that share the threshold against
-copies, .06 bits."""
+"""Least evidence of connected links, as a share of the bits that merging needs. With 0.75 still
+nothing was lost of 1,354 pairs of runs that matching all 79,800 pairs joins (`benchmarks/fleet.py
+--recall 400 --first 5000`). Of 692 pairs beyond chance, nearly all copies in offices, 29 are
+screened out (`--beyond 160 --first 5000`): these do not count among the pairs that share the
+threshold against copies, .06 bits."""
 
 
 def pairs_to_match(maps: Sequence[Prepared], settings: RobustSettings) -> IntArray:
@@ -49,14 +49,14 @@ def pairs_to_match(maps: Sequence[Prepared], settings: RobustSettings) -> IntArr
 
 
 PARTNERS = 100
-"""Maps with views are matched with so many whose views look most alike, from either side. Of 171
-pairs of one place in a batch of 109 maps all rank among the first 26 of one of the two, 95 % among
-the first 16."""
+"""Maps that each map with views is matched with, those with the most similar views. Of 171 pairs
+of one place in a batch of 109 maps all rank among the first 26 of one of the two, 95 % among the
+first 16."""
 RINGS, SECTORS, HARMONICS = 10, 48, (8, 4)
-"""Bins of a descriptor's polar histograms, and harmonics of walls and free space that it keeps.
-Twice as many rings or harmonics rank no better."""
+"""Bins of the polar histograms, and harmonics of walls and of free space in a descriptor. Twice
+as many rings or harmonics rank no better."""
 MOST_ALIKE = 12
-"""Views of a map whose similarity to another map counts: the two share part of their places."""
+"""Views that count in the similarity of two maps, the most similar: maps overlap in part."""
 
 
 def similar_pairs(views: Sequence[Views]) -> IntArray:
@@ -71,58 +71,58 @@ def similar_pairs(views: Sequence[Views]) -> IntArray:
 
 
 def similarity(views: Sequence[Views]) -> FloatArray:
-    """(n, n) how much the views of two maps look alike, both ways; -inf of a map with itself.
+    """(n, n) similarity of the views of two maps, symmetric; -inf of a map with itself.
 
-    The similarity of a view to a map is that to the most similar of its views, in standard
-    deviations over all maps. O(views²), 2 ms of a core for each map and 1,000 others.
+    A view's similarity to a map is that to its most similar view, in standard deviations over all
+    maps. O(views²), 2 ms of a core for each map and 1,000 others.
     """
-    every = np.concatenate([descriptors(v) for v in views])
-    every = (every - every.mean(axis=0)) / (every.std(axis=0) + 1e-6)
-    every /= np.linalg.norm(every, axis=1, keepdims=True) + 1e-6  # 0 of one like the mean
+    described = np.concatenate([descriptors(v) for v in views])
+    described = (described - described.mean(axis=0)) / (described.std(axis=0) + 1e-6)
+    described /= np.linalg.norm(described, axis=1, keepdims=True) + 1e-6  # 0 of one like the mean
     starts = np.cumsum([0, *map(len, views)])
     score = np.zeros((len(views), len(views)))
     for k, (start, stop) in enumerate(pairwise(starts)):
-        alike = np.maximum.reduceat(every[start:stop] @ every.T, starts[:-1], axis=1)
-        others = np.delete(alike, k, axis=1)
-        alike = (alike - others.mean(axis=1)[:, None]) / (others.std(axis=1)[:, None] + 1e-6)
-        score[k] = np.sort(alike, axis=0)[-MOST_ALIKE:].sum(axis=0)
+        similar = np.maximum.reduceat(described[start:stop] @ described.T, starts[:-1], axis=1)
+        others = np.delete(similar, k, axis=1)
+        similar = (similar - others.mean(axis=1)[:, None]) / (others.std(axis=1)[:, None] + 1e-6)
+        score[k] = np.sort(similar, axis=0)[-MOST_ALIKE:].sum(axis=0)
     score += score.T
     np.fill_diagonal(score, -np.inf)
     return score
 
 
 def descriptors(views: Views) -> NDArray[np.float32]:
-    """(n, d) descriptors of views that do not depend on their rotation: magnitudes of the Fourier
-    transforms of walls and free space on rings around the place."""
-    along = (np.arange(SIDE) + 0.5) * CELL_M - REACH_M
-    ring = np.floor(np.hypot(along[:, None], along) / REACH_M * RINGS)
-    sector = np.floor((np.arctan2(along[:, None], along) / (2 * np.pi) % 1) * SECTORS)
+    """(n, d) rotation-invariant descriptors of views: magnitudes of the Fourier transforms of
+    walls and free space on rings around the place."""
+    axis = (np.arange(SIDE) + 0.5) * CELL_M - REACH_M
+    ring = np.floor(np.hypot(axis[:, None], axis) / REACH_M * RINGS)
+    sector = np.floor((np.arctan2(axis[:, None], axis) / (2 * np.pi) % 1) * SECTORS)
     cell, bin_of = np.flatnonzero(DISC), (ring * SECTORS + sector)[DISC].astype(np.int64)
     shape = (SIDE * SIDE, RINGS * SECTORS)
     members = csr_array((np.ones(len(cell), np.float32), (cell, bin_of)), shape)
     scale = np.sqrt(np.bincount(bin_of, minlength=shape[1]).clip(1))
-    out = []
+    parts = []
     for state, harmonics in zip((WALL, FREE), HARMONICS, strict=True):
         marked = (views.cells.reshape(len(views), -1) == state).astype(np.float32)
         polar = (marked @ members / scale).reshape(-1, RINGS, SECTORS)
         waves = np.abs(np.fft.rfft(polar, axis=2)[:, :, :harmonics])
-        out.append(np.sqrt(waves).reshape(len(views), -1))
-    return np.concatenate(out, axis=1).astype(np.float32)
+        parts.append(np.sqrt(waves).reshape(len(views), -1))
+    return np.concatenate(parts, axis=1).astype(np.float32)
 
 
-def likely_pairs(maps: Sequence[Prepared], least: float) -> IntArray:
+def likely_pairs(maps: Sequence[Prepared], least_bits: float) -> IntArray:
     """(k, 2) pairs i < j, sorted, with at least so many bits by the index. O(links of the pairs).
 
-    The pair (i, j) is looked up with map i; (j, i) differs only in the direction of corridors.
+    The pair (i, j) is looked up by map i; (j, i) differs only in the direction of corridors.
     """
     parts = [np.zeros((0, 2), np.int64)]
     for start in range(0, len(maps), TASKS.at_hand):
-        some = maps[start : start + TASKS.at_hand]
-        block = Corridors.of(some)
-        for i in range(start + len(some) - 1):
-            bits = block.chances(maps[i], least, after=max(i - start, -1))
-            found = np.flatnonzero(bits >= least)
-            parts.append(np.stack([np.full(len(found), i), start + found], axis=1))
+        part = maps[start : start + TASKS.at_hand]
+        block = Corridors.of(part)
+        for i in range(start + len(part) - 1):
+            bits = block.link_bits(maps[i], least_bits, after=max(i - start, -1))
+            selected = np.flatnonzero(bits >= least_bits)
+            parts.append(np.stack([np.full(len(selected), i), start + selected], axis=1))
     pairs = np.concatenate(parts)
     return pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
 
@@ -131,9 +131,9 @@ def likely_pairs(maps: Sequence[Prepared], least: float) -> IntArray:
 class Corridors:
     """The directed corridors of some maps, sorted by pattern of branches, then length.
 
-    key: (k,) pattern and length as in `Prepared.probe_key`; the others in the same order, as there.
-    owner: map of each; tail, head: vertices, numbered through all maps. length_step, worst: the
-    largest variance of corridors up to each length.
+    key: (k,) pattern and length as in `Prepared.probe_key`; owner: (k,) map of each; tail, head:
+    (k,) vertices, numbered through all maps; the other columns as in `Prepared`. length_step,
+    worst: (k,) lengths, ascending, and the largest variance of corridors up to each.
     """
 
     maps: int
@@ -184,50 +184,52 @@ class Corridors:
         )
 
     def worst_variance(self, length: FloatArray) -> FloatArray:
-        """Upper bound of the variance [m²] of corridors that could be as long as these."""
+        """(q,) upper bound of the variance [m²] of corridors compatible with the lengths (q,)."""
         if not len(self.worst):
             return np.zeros(len(length))
         at = np.searchsorted(self.length_step, 2 * length, side="right") - 1
         return np.asarray(self.worst[np.maximum(at, 0)])
 
-    def chances(self, a: Prepared, least: float, after: int = -1) -> FloatArray:
-        """For each map here the evidence [bits] of the best connected set of links with map a,
-        minus log2 of the number of links; -inf if all links together have less than `least`, and
-        for the maps up to the index `after`."""
+    def link_bits(self, a: Prepared, least_bits: float, after: int = -1) -> FloatArray:
+        """For each indexed map the evidence [bits] of its best connected set of links with map a,
+        minus log2 of the number of links; -inf if all links together have less than `least_bits`,
+        and for the maps up to the index `after`."""
         best = np.full(self.maps, -np.inf)
-        row, other = self._links(a, after)
+        row, column = self._compatible(a, after)
         if not len(row):
             return best
         bits = length_bits(
-            a.length[row] - self.length[other], a.variance[row] + self.variance[other]
+            a.length[row] - self.length[column], a.variance[row] + self.variance[column]
         )
-        bits += np.minimum(a.rarity[row], self.rarity[other])
-        ends = np.minimum(a.end_information[row], self.end_information[other])
+        bits += np.minimum(a.rarity[row], self.rarity[column])
+        ends = np.minimum(a.end_information[row], self.end_information[column])
         bits = np.minimum(bits, MATCH.most_bits) + 0.5 * ends
-        owner = self.owner[other]
-        choice = np.log2(np.bincount(owner, minlength=self.maps) + 1.0)
-        together = np.bincount(owner, np.maximum(bits, 0.0), self.maps)
-        hope = np.flatnonzero((together - choice >= least)[owner])
-        if len(hope):
-            row, other, bits, owner = row[hope], other[hope], bits[hope], owner[hope]
+        owner = self.owner[column]
+        choice_bits = np.log2(np.bincount(owner, minlength=self.maps) + 1.0)
+        total = np.bincount(owner, np.maximum(bits, 0.0), self.maps)
+        promising = np.flatnonzero((total - choice_bits >= least_bits)[owner])
+        if len(promising):
+            row, column = row[promising], column[promising]
+            bits, owner = bits[promising], owner[promising]
             label = link_components(
-                a.tail[row] * self.vertices + self.tail[other],
-                a.head[row] * self.vertices + self.head[other],
-                np.asarray(wrap(a.angle[row] - self.angle[other])),
+                a.tail[row] * self.vertices + self.tail[column],
+                a.head[row] * self.vertices + self.head[column],
+                np.asarray(wrap(a.angle[row] - self.angle[column])),
             )
             np.maximum.at(best, owner, np.bincount(label, bits)[label])
-        return np.asarray(best - choice)
+        return np.asarray(best - choice_bits)
 
-    def _links(self, a: Prepared, after: int) -> tuple[IntArray, IntArray]:
-        """Corridors of a, in one direction, and rows here that are compatible."""
+    def _compatible(self, a: Prepared, after: int) -> tuple[IntArray, IntArray]:
+        """Compatible pairs: rows of corridors of a, in one direction, and rows of the index."""
         half = len(a.tail) // 2
         variance, length = a.variance[:half], a.length[:half]
         reach = MATCH.length_sigmas * np.sqrt(variance + self.worst_variance(length))
         key = a.pattern[:half] * LENGTH_SCALE + length
-        row, other = windows(self.key.searchsorted(key - reach), self.key.searchsorted(key + reach))
-        late = np.flatnonzero(self.owner[other] > after)
-        row, other = row[late], other[late]
-        d = a.length[row] - self.length[other]
-        fits = d * d < MATCH.length_sigmas**2 * (a.variance[row] + self.variance[other])
-        ok = np.flatnonzero(fits & (np.abs(a.sagitta[row] - self.sagitta[other]) < MATCH.gate_m))
-        return row[ok], other[ok]
+        low, high = self.key.searchsorted(key - reach), self.key.searchsorted(key + reach)
+        row, column = windows(low, high)
+        later = np.flatnonzero(self.owner[column] > after)
+        row, column = row[later], column[later]
+        d = a.length[row] - self.length[column]
+        fits = d * d < MATCH.length_sigmas**2 * (a.variance[row] + self.variance[column])
+        fits &= np.abs(a.sagitta[row] - self.sagitta[column]) < MATCH.gate_m
+        return row[fits], column[fits]

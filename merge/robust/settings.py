@@ -20,19 +20,19 @@ class RobustSettings:
     choice."""
     min_matches: int = 5
     """Least number of matched junctions of a merge, plus up to one for every contradiction
-    (`Conflicts.junctions`): four carry no more than the 10 bits that two runs alone need
-    (`junction_bits`). Without counting
-    contradictions two runs in tunnels are merged wrongly 21 times instead of 12 (of 15,660 pairs),
-    most of them by five junctions of one standard part; of 2,688 right pairs one is lost."""
+    (`Conflicts.junctions`): four have no more than the 10 bits that two runs alone need
+    (`junction_bits`). Without counting contradictions, tunnels are merged wrongly 21 times instead
+    of 12 (of 15,660 pairs), mostly by five junctions of one standard part; of 2,688 right pairs one
+    is lost."""
     copy_margin_bits: float = 4.0
     """The test for copies uses conservative rates: the share of copies that pass is below the
     promised one by this many bits (measured by `benchmarks/calibration.py`)."""
     copied_share: float = 0.75
-    """Like buildings are assumed to have copies as large as their map at this quantile shows:
-    either most maps repeat, or few do. Pairs are many more than maps, and meet larger copies than
-    the two maps show by themselves: without it `benchmarks/aliasing.py --kinds tiles` joins tunnels
-    wrongly. Taken of the whole batch, offices and rows keep mazes from being merged
-    (`benchmarks/aliasing.py --mixed`)."""
+    """Quantile over the maps of like buildings: their copies are assumed to be as large as in the
+    map at this quantile. Pairs are many more than maps, and have larger copies than the two maps
+    show by themselves: without it `benchmarks/aliasing.py --kinds tiles` joins tunnels wrongly.
+    Over the whole batch, offices and rows keep mazes from being merged (`benchmarks/aliasing.py
+    --mixed`)."""
     size_sigmas: float = 2.5
     """Two maps are not of one place if one is larger throughout by more than this many standard
     deviations of their odometries' scales. Of 310 right pairs of simulated runs the most is 2.3
@@ -71,31 +71,31 @@ class MatchSettings:
     16 to 1. Also the lead over chance at which an alignment is reported and checked for
     contradictions. Tried: 2.7, no change; with 6 a pair of offices is lost."""
     junction_bits: float = 2.5
-    """Bound on the agreement per matched junction: the sum of few junctions overstates the
-    evidence. Of 297,000 pairs of unrelated mazes 8 reach 12.5 bits in five junctions, and 3 of
-    these reach 16, where 1 should. Tried: with 3.75, 20 of 108 pairs of floors that differ by .3 m
-    are merged wrongly instead of none (`benchmarks/adversaries.py`), with 1.7 a fifth of the right
-    pairs is lost.
+    """Bound on the agreement per matched junction: its terms are not independent. Of 297,000 pairs
+    of unrelated mazes 8 reach 12.5 bits in five junctions, and 3 of these reach 16, where 1 should.
+    Tried: with 3.75, 20 of 108 pairs of floors that differ by .3 m are merged wrongly instead of
+    none (`benchmarks/adversaries.py`), with 1.7 a fifth of the right pairs is lost.
 
-    Also the evidence against a copy that lengths and views have in common: of 132 pairs of twelve
-    offices of one design, two runs at a time, two are merged wrongly if both count in full, none
-    with this, and all twelve pairs of runs of one office are merged; with 4, nine."""
-    least_told: float = 0.25
-    """Share of `junction_bits` up to which an alignment is taken for a copy; from twice as much on
-    it is not. Of 179 right pairs of mazes and organic ways all have .58 or more; of 25 pairs of
-    floors of one plan, each junction moved by up to .3 m, 23 have less than half, and so do two
-    sites that share a block (`benchmarks/adversaries.py`). It costs no right pair of the suites."""
+    Also the evidence against a copy that lengths and views share: of 132 pairs of twelve offices of
+    one design, two runs at a time, two are merged wrongly if both count in full, none with this,
+    and all twelve pairs of runs of one office are merged; with 4, nine.
+    """
+    least_share_of_bound: float = 0.25
+    """Share of the bound on its agreement (`junction_bits`) up to which an alignment counts as a
+    copy; from twice as much on it does not. Of 179 right pairs of mazes and organic ways all have
+    .58 or more; of 25 pairs of floors of one plan, each junction moved by up to .3 m, 23 have less
+    than half, and so do two sites that share a block (`benchmarks/adversaries.py`). It costs no
+    right pair of the suites."""
     misfit_rate: float = LIKELIHOOD.outlier_share
-    """An alignment whose lengths differ by as much in less than this share of looks at one place
-    may be a copy. Of 115 right pairs of two suites the least have .21, of 174 by earlier code .12
+    """An alignment may be a copy if the lengths of one place differ by as much in less than this
+    share of cases. Of 115 right pairs of two suites the least have .21, of 174 by earlier code .12
     (noise is stated with caution for matching); a copy of 19 junctions in an office, which nothing
     contradicts, has .01, by earlier code .005."""
     uniform_bits: float = 0.75
-    """-log2 of the density [1/m] of equal corridors up to which the building is assumed to repeat
-    itself, whether that was seen or not; from twice as many on it is not. 90 % of pairs of maps
-    have: rows -.3 to .2, offices .2 to 1.4, tunnels 1.1 to 2.9, mazes 1.7 to 2.5, organic ways and
-    cities more. Without it offices are merged wrongly (`benchmarks/aliasing.py --without uniform`).
-    """
+    """Bits of a length (-log2 of the density [1/m] of equal corridors) up to which the building is
+    assumed to repeat itself; from twice as many on it is not. 90 % of pairs of maps have: rows -.3
+    to .2, offices .2 to 1.4, tunnels 1.1 to 2.9, mazes 1.7 to 2.5, organic ways and cities more.
+    Without it offices are merged wrongly (`benchmarks/aliasing.py --without uniform`)."""
     most_bits: float = LIKELIHOOD.most_bits
     fault_floor: float = LIKELIHOOD.fault_floor
     contradicted_bits: float = 7.0
@@ -130,7 +130,7 @@ class MatchSettings:
     """Neighbours of each junction whose matches predict it: about as many as lie within twice the
     reach."""
     fewest: int = 3
-    """A match with fewer junctions in a round of growth is given up."""
+    """Least number of junctions of a match in every round of growth."""
     least_share: float = 0.6
     """A match is also given up if fewer of the junctions inside the other run's area are found:
     chance alone finds about a fifth of them. Tried: .4 and .5 give the same, but unrelated pairs
@@ -138,29 +138,27 @@ class MatchSettings:
     weak_share: float = 0.3
     """Hypotheses with less than this share of the best one's bits are not grown."""
     most_pairs: int = 20_000
-    """Pairs of anything that are compared at once, to bound the time. Where more pairs of corridors
-    are compatible, those of the most common patterns are left out, which carry no information.
-    Where more pairs of links would vote for a transform, the weakest do not. And up to so many
-    pairs of points are compared exhaustively: one matrix product is faster than the 22 µs overhead
-    of a tree query."""
+    """Bound on the pairs that are compared at once. Of more compatible pairs of corridors those of
+    the most common patterns are left out, which carry no information. Of more pairs of links that
+    vote for a transform the weakest are left out. Up to so many pairs of points are compared
+    exhaustively: one matrix product is faster than the 22 µs overhead of a tree query."""
     at_once: int = 4096
-    """Junctions of hypotheses that are grown at once, to fit a processor's cache, and pairs of maps
-    that are assessed at once (10 kB each)."""
+    """Junctions of hypotheses in a batch of growth, which fits a processor's cache; and pairs of
+    maps in a batch of assessment (10 kB each)."""
 
     clear_m: float = 1.0
     """Length at either end of a corridor that belongs to the junction [m]; also the spacing of the
     sample points of the rest. Tried: .7 and 1.5, no change."""
     crossing_m: float = 1.7
-    """By so much more may junctions lie apart that a placement of views lays over each other: a
-    crossing at an acute angle shows as two forks 1.1 to 1.55 m apart in a skeleton."""
+    """Additional gate for junctions that a placement of views lays over each other: a crossing at
+    an acute angle shows as two forks 1.1 to 1.55 m apart in a skeleton."""
     pair_digits: int = 4
-    """Binary digits of a number of pairs: up to 15 it is exact, beyond it is rounded up by up to an
+    """Binary digits that the number of pairs is rounded up to: exact up to 15, beyond by up to an
     eighth, .17 bits, .06 in the mean. At 200 runs every tenth run is a step, at 1,420 every
     forty-fifth."""
     floor_rad: float = 0.03
-    """Noise of branches that no estimate contains [rad]: detectors whose result depends on the
-    view. Without it tunnels repeat themselves more by chance, and fewer pairs of them are merged.
-    """
+    """Noise of branches beyond the estimated one [rad]: detectors depend on the direction of view.
+    Without it tunnels repeat themselves more by chance, and fewer pairs of them are merged."""
 
     @property
     def contested_bits(self) -> float:

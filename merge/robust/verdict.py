@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from ...topology.digits import BITS, rounded
 from ..result import CopyTest, Verdict
 from .alignment import Candidate
 from .prepare import Prepared
-from .repetition import CopyModel, Sameness, fits_by_noise, sameness_of, size_sigmas
+from .repetition import CopyModel, Sameness, fits_by_noise, sameness, size_sigmas
 from .settings import MATCH, RobustSettings
 from .view_evidence import CONSISTENT_M
 
@@ -28,22 +29,24 @@ NEARLY = "another placement fits nearly as well"
 MIRRORED = "its mirror image fits nearly as well: this may be a copy built the other way round"
 
 ELSEWHERE = "by another placement"
-"""What the evidence of two maps says where a lock joins them in another way."""
+"""The doubt where a lock joins two maps by another placement than their evidence."""
 
 NOTHING_ALIKE = "they have nothing in common that chance would not offer"
 
 DOUBTS = (OTHER_SIZE, NO_WORSE, MAYBE_COPY, MISFITS, NEARLY, MIRRORED, ELSEWHERE, NOTHING_ALIKE)
-"""What two maps lack that is more than too little evidence: they may belong elsewhere."""
+"""Reasons against merging other than too little evidence: the two may be different places."""
 
 
 @dataclass(frozen=True, slots=True)
 class Threshold:
     """The evidence that a pair must reach.
 
-    need_bits: against chance; need_copy_bits: against being a copy, for an alignment that is likely
-    to be one; copied: junctions of the largest part of either map that matches another part of it;
-    copies: how copies differ in buildings like theirs; unrepeated_bits: evidence that such
+    need_bits: against chance; need_copy_bits: against being a copy, in full for an alignment of
+    repetition 1; copied: junctions of the largest part of either map that matches another part of
+    it; copies: how copies differ in buildings like theirs; unrepeated_bits: evidence that such
     buildings do not repeat themselves, where corridors of few lengths suggest it.
+
+    A repetition is how likely an alignment is a copy by one of its features, 0 to 1.
     """
 
     need_bits: float
@@ -53,35 +56,32 @@ class Threshold:
     settings: RobustSettings
     unrepeated_bits: float = 0.0
 
-    def few_lengths(self, a: Prepared, b: Prepared) -> float:
-        """0 to 1: how much two maps are asked whether they show copies, because their corridors
-        have few lengths."""
-        told = self.unrepeated_bits / self.need_copy_bits if self.need_copy_bits else 0.0
-        return max(uniformity(a, b) - told, 0.0)
+    def repetition_by_lengths(self, a: Prepared, b: Prepared) -> float:
+        """The repetition by corridors of few lengths, for all alignments of two maps."""
+        unrepeated = self.unrepeated_bits / self.need_copy_bits if self.need_copy_bits else 0.0
+        return max(uniformity(a, b) - unrepeated, 0.0)
 
-    def may_be_copy(self, best: Candidate) -> float:
-        """0 to 1: how likely an alignment is a copy, by its size.
+    def repetition_by_size(self, best: Candidate) -> float:
+        """The repetition by size: 1 if an alignment has no more junctions than the largest copy
+        within a map, 0 from twice as many on.
 
-        1 if it has no more junctions than the largest repetition within a map, 0 from twice as many
-        on; parts of the overlap that agree count as junctions where views proposed it. Without this
+        Agreeing parts of the overlap count as junctions where views proposed it. Without this
         tunnels are merged wrongly (`benchmarks/aliasing.py --without "small copies"`).
         """
         size = len(best) + (best.views.agreeing if best.by_views else 0)
         return _share(2.0 - size / self.copied) if self.copied else 0.0
 
-    def looks_repeated(self, c: Candidate) -> float:
-        """0 to 1: how likely an alignment is a copy, by its views; 0 where the junctions alone
-        suffice and no junctions of either map stand twice."""
+    def repetition_by_views(self, c: Candidate) -> float:
+        """The repetition by views; 0 where junctions alone suffice and neither map shows a copy."""
         by_junctions = c.bits - c.views.total >= self.need_bits and not self.copied
         return 0.0 if by_junctions else c.views.repeated
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Weighed:
-    """A placement better than chance with its evidence for the two questions (chance? a copy?), in
-    bits.
+    """A placement better than chance, with its evidence against chance and against being a copy.
 
-    need: the threshold against chance; copy_test: the second question, None if it was not asked.
+    need: the threshold against chance [bits]; copy_test: the test for copies, None if not applied.
     """
 
     candidate: Candidate
@@ -89,25 +89,24 @@ class Weighed:
     copy_test: CopyTest | None = None
 
     @property
-    def carried(self) -> float:
-        """The answer to the first question: `counted_bits`."""
+    def chance_bits(self) -> float:
+        """Evidence against chance: `counted_bits`."""
         return self.candidate.counted_bits
 
     @property
     def bits(self) -> float:
-        """The evidence: the lower one of the two answers, the second shifted to the threshold of
-        the first."""
-        return min(self.carried, self.from_copies)
+        """The evidence for merging: the lower one of the two."""
+        return min(self.chance_bits, self.copy_bits)
 
     @property
-    def from_copies(self) -> float:
-        """The answer to the second question, shifted so that its threshold is `need`; inf if not
+    def copy_bits(self) -> float:
+        """Evidence against being a copy, shifted so that its threshold is `need`; inf if not
         tested. The less likely a copy, the less it bounds the evidence."""
-        asked = self.copy_test
-        if asked is None or not asked.repetition:
+        test = self.copy_test
+        if test is None or not test.repetition:
             return np.inf
-        beyond = asked.bits - asked.needed_bits
-        return self.need + (beyond / asked.repetition if beyond > 0 else beyond)
+        beyond = test.bits - test.needed_bits
+        return self.need + (beyond / test.repetition if beyond > 0 else beyond)
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,8 +117,8 @@ class Faint:
     bits: float
 
 
-def faint_of(candidates: Sequence[Candidate]) -> Faint | None:
-    """The best candidate in short; None if there is none."""
+def faint_alignment(candidates: Sequence[Candidate]) -> Faint | None:
+    """Junctions and evidence of the best candidate; None if there is none."""
     return next((Faint(len(c), c.counted_bits) for c in candidates), None)
 
 
@@ -179,9 +178,9 @@ def threshold_for(
     copied: float = 0.0,
     unrepeated_bits: float = 0.0,
 ) -> Threshold:
-    """The threshold in a batch of so many pairs, `beyond` of them with an alignment that chance
-    does not explain: only these can be merged wrongly because they are copies. Every pair has an
-    equal share of the false-merge rate, for either question."""
+    """The threshold in a batch of so many pairs. Every pair has an equal share of the false-merge
+    rate. beyond: number of pairs with an alignment beyond chance: only these can be merged wrongly
+    because they are copies; copies, copied, unrepeated_bits: as in `Threshold`."""
     against_copies = max(needed_bits(beyond, settings) - settings.copy_margin_bits, 0.0)
     need = needed_bits(pairs, settings)
     return Threshold(need, against_copies, copied, copies, settings, unrepeated_bits)
@@ -190,13 +189,12 @@ def threshold_for(
 def needed_bits(pairs: int, settings: RobustSettings) -> float:
     """Threshold against chance with `pairs` pairs (Bonferroni): log2(pairs / rate).
 
-    Pairs are counted in steps (`in_steps`), so that one more run seldom changes the threshold of
-    all others.
+    The number of pairs is `rounded_up`: one more run seldom changes it.
     """
-    return float(np.log2(max(in_steps(pairs), 1) / settings.false_merge_rate))
+    return float(np.log2(max(rounded_up(pairs), 1) / settings.false_merge_rate))
 
 
-def in_steps(pairs: int) -> int:
+def rounded_up(pairs: int) -> int:
     """`pairs` rounded up to `MATCH.pair_digits` binary digits."""
     step = 1 << max(pairs.bit_length() - MATCH.pair_digits, 0)
     return -(-pairs // step) * step
@@ -217,30 +215,29 @@ def uniformity(*maps: Prepared) -> float:
     maps, too.
     """
     alike, pairs = sum(m.alike for m in maps), sum(m.alike_pairs for m in maps)
-    tells = -float(np.log2(alike / pairs)) if alike > 0 else np.inf
-    return _share(2.0 - tells / MATCH.uniform_bits)
+    bits = -float(np.log2(alike / pairs)) if alike > 0 else np.inf
+    return _share(2.0 - bits / MATCH.uniform_bits)
 
 
-def falls_short(c: Candidate) -> float:
-    """0 to 1: how far the evidence of an alignment falls short of what its junctions could give.
+def shortfall(c: Candidate) -> float:
+    """0 to 1: how far the evidence of an alignment falls short of the bound of its junctions.
 
     Two runs of one place agree in nearly everything. Places built after the same plan, or of the
     same parts, do not, however far they are beyond chance.
     """
-    least = MATCH.least_told * MATCH.junction_bits * len(c)
+    least = MATCH.least_share_of_bound * MATCH.junction_bits * len(c)
     return _share(2.0 - c.counted_bits / least) if least else 0.0
 
 
 def walls_fit(a: Prepared, b: Prepared, c: Candidate) -> bool:
-    """Whether the walls of several parts lie on each other in one placement: then lengths fit, too,
-    and neither map is larger, whatever junctions say. Furniture shifts junctions, not walls."""
-    return c.views.off_m(a.views, b.views) <= CONSISTENT_M
+    """Whether the walls of several parts lie on each other in one placement. Then lengths fit, too,
+    and neither map is larger, whatever the junctions: furniture shifts junctions, not walls."""
+    return c.views.residual_m(a.views, b.views) <= CONSISTENT_M
 
 
-def misfits(a: Prepared, b: Prepared, c: Candidate) -> float:
-    """1 if lengths that agree differ by more than noise, so that the alignment is taken for a copy,
-    else 0. Places of one design can agree in every junction, and differ by a little in many
-    corridors, of which each might be noise."""
+def repetition_by_misfit(a: Prepared, b: Prepared, c: Candidate) -> float:
+    """The repetition by lengths that differ by more than noise in all: 1 or 0. Places of one design
+    can agree in every junction and differ a little in many corridors; each might be noise."""
     if walls_fit(a, b, c):
         return 0.0
     return float(fits_by_noise(a, b, c.corridors) < MATCH.misfit_rate)
@@ -251,93 +248,96 @@ def _share(value: float) -> float:
     return min(max(value, 0.0), 1.0)
 
 
-Found = tuple[Prepared, Prepared, Sequence[Candidate], Threshold]
-"""Two maps, their candidate alignments, and their threshold."""
+class Matched(NamedTuple):
+    """Two maps, their candidate alignments, and their threshold."""
+
+    a: Prepared
+    b: Prepared
+    candidates: Sequence[Candidate]
+    threshold: Threshold
 
 
 def assess(
     a: Prepared, b: Prepared, candidates: Sequence[Candidate], threshold: Threshold
 ) -> Assessment:
     """The verdict on a pair from its candidate alignments."""
-    return assess_all([(a, b, candidates, threshold)])[0]
+    return assess_all([Matched(a, b, candidates, threshold)])[0]
 
 
-def assess_all(pairs: Sequence[Found]) -> list[Assessment]:
+def assess_all(pairs: Sequence[Matched]) -> list[Assessment]:
     """Verdicts on pairs from their candidate alignments.
 
     merged: enough evidence against chance, not a copy, and a lead over every other placement and
-    the mirror image.
-    ambiguous: beyond chance, but one of the three is missing, or too few junctions agree.
-    unrelated: nothing beyond chance.
+    the mirror image. ambiguous: beyond chance, but one of the three is missing, or too few
+    junctions agree. unrelated: nothing beyond chance.
 
     The test for copies is applied where the building has corridors of few lengths, to alignments no
     larger than repetitions within the maps, whose lengths differ by more than noise, and where the
-    best one has much less evidence than its junctions could give.
+    best one has much less evidence than the bound of its junctions.
     """
-    shown = [_beyond_chance(candidates, threshold) for _, _, candidates, threshold in pairs]
-    shares = [_repetitions(*pair, odd) for pair, odd in zip(pairs, shown, strict=True)]
-    cases: dict[CopyModel, list[tuple[Prepared, Prepared, Candidate]]] = defaultdict(list)
-    for (a, b, _, threshold), odd, share in zip(pairs, shown, shares, strict=True):
-        if max(share, default=0.0) > 0:
-            cases[threshold.copies] += [(a, b, c) for c in odd]
-    same = {copies: sameness_of(some, copies) for copies, some in cases.items()}
-    told = zip(pairs, shown, shares, strict=True)
+    likely = [_beyond_chance(pair.candidates, pair.threshold) for pair in pairs]
+    repetitions = list(map(_repetitions, pairs, likely))
+    to_test: dict[CopyModel, list[tuple[Prepared, Prepared, Candidate]]] = defaultdict(list)
+    for pair, beyond, repetition in zip(pairs, likely, repetitions, strict=True):
+        if max(repetition, default=0.0) > 0:
+            to_test[pair.threshold.copies] += [(pair.a, pair.b, c) for c in beyond]
+    tests = {copies: sameness(cases, copies) for copies, cases in to_test.items()}
     return [
-        _assess(pair, odd, share, same.get(pair[3].copies, iter(()))) for pair, odd, share in told
+        _assess(pair, beyond, repetition, tests.get(pair.threshold.copies, iter(())))
+        for pair, beyond, repetition in zip(pairs, likely, repetitions, strict=True)
     ]
 
 
-def _repetitions(
-    a: Prepared, b: Prepared, _: object, threshold: Threshold, odd: Sequence[Candidate]
-) -> list[float]:
-    """0 to 1 for each alignment: how likely it is a copy."""
-    uniform = threshold.few_lengths(a, b) if odd else 0.0
-    shares = [
+def _repetitions(pair: Matched, beyond: Sequence[Candidate]) -> list[float]:
+    """The largest repetition (`Threshold`) of each alignment beyond chance."""
+    a, b, _, threshold = pair
+    by_lengths = threshold.repetition_by_lengths(a, b) if beyond else 0.0
+    repetitions = [
         max(
             # Walls show better than lengths of corridors whether a building repeats itself.
-            uniform * c.views.alike,
-            threshold.may_be_copy(c),
-            misfits(a, b, c),
-            threshold.looks_repeated(c),
+            by_lengths * c.views.self_similarity,
+            threshold.repetition_by_size(c),
+            repetition_by_misfit(a, b, c),
+            threshold.repetition_by_views(c),
         )
-        for c in odd
+        for c in beyond
     ]
-    if odd and (any(shares) or falls_short(max(odd, key=lambda c: c.counted_bits)) > 0):
-        shares = [max(share, falls_short(c)) for share, c in zip(shares, odd, strict=True)]
-    return shares
+    if beyond and (any(repetitions) or shortfall(max(beyond, key=lambda c: c.counted_bits)) > 0):
+        repetitions = [max(r, shortfall(c)) for r, c in zip(repetitions, beyond, strict=True)]
+    return repetitions
 
 
 def _assess(
-    pair: Found,
-    odd: Sequence[Candidate],
-    shares: Sequence[float],
-    same: Iterator[Sameness],
+    pair: Matched,
+    beyond: Sequence[Candidate],
+    repetitions: Sequence[float],
+    tests: Iterator[Sameness],
 ) -> Assessment:
-    """The verdict on a pair. odd: alignments beyond chance; shares: how likely each is a copy;
-    same: results of the test for copies, if any needs it."""
+    """The verdict on a pair. beyond: alignments beyond chance; repetitions: how likely each is a
+    copy; tests: the next results of the test for copies, one for each if any is likely."""
     a, b, candidates, threshold = pair
-    if not odd:
-        return Assessment(Verdict.UNRELATED, threshold.need_bits, faint=faint_of(candidates))
-    asked = max(shares) > 0
+    if not beyond:
+        return Assessment(Verdict.UNRELATED, threshold.need_bits, faint=faint_alignment(candidates))
+    is_tested = max(repetitions) > 0
     ranked = []
-    for c, share in zip(odd, shares, strict=True):
-        tested = None
-        if asked:
-            bits = _no_copy(next(same).bits, c.views.copies)
-            tested = CopyTest(bits, share * threshold.need_copy_bits, share)
-        ranked.append(Weighed(c, threshold.need_bits, tested))
+    for c, repetition in zip(beyond, repetitions, strict=True):
+        test = None
+        if is_tested:
+            bits = _combined_copy_bits(next(tests).bits, c.views.copies)
+            test = CopyTest(bits, repetition * threshold.need_copy_bits, repetition)
+        ranked.append(Weighed(c, threshold.need_bits, test))
     ranked.sort(key=lambda w: -round(w.bits, BITS))
     first, *others = ranked
     best = first.candidate
     margin = first.bits - others[0].bits if others else None
     why = _missing(first, margin, threshold)
-    if why == MAYBE_COPY and misfits(a, b, best):
+    if why == MAYBE_COPY and repetition_by_misfit(a, b, best):
         why = MISFITS
     contested = not why and _contested(ranked)
     # If something else is missing, the explanation states the lead required over the runner-up.
     no_worse = contested or any(_contests(other, first) for other in others[:1])
     why = NO_WORSE if contested else why
-    if first.carried >= threshold.need_bits:
+    if first.chance_bits >= threshold.need_bits:
         larger = size_sigmas(a, b, best.corridors) > threshold.settings.size_sigmas
         why = OTHER_SIZE if larger and not walls_fit(a, b, best) else why
     if not why and best.image_bits > best.bits - MATCH.lead_bits:
@@ -351,30 +351,31 @@ def _assess(
     )
 
 
-def _no_copy(lengths: float, views: float) -> float:
-    """The evidence of lengths and changes, and that of views, that an alignment is no copy [bits].
+def _combined_copy_bits(lengths: float, views: float) -> float:
+    """Evidence against a copy [bits], from that of lengths and changes and that of views.
 
-    Both see the same walls: what one says is no news up to `MATCH.junction_bits` of the other.
+    Both depend on the same walls, so that they share up to `MATCH.junction_bits`.
     """
     most, least = max(lengths, views), min(lengths, views)
     return most + max(least - MATCH.junction_bits, 0.0) if views else lengths
 
 
 def _beyond_chance(candidates: Sequence[Candidate], threshold: Threshold) -> list[Candidate]:
-    """Alignments better than chance (`lead_bits`): those with enough junctions to be merged, or, if
-    there are none, smaller ones that reach the threshold, or by their views that of two runs."""
-    odd = [c for c in candidates if c.bits > MATCH.lead_bits]
-    enough = [c for c in odd if c.witnesses >= threshold.settings.min_matches]
+    """Alignments better than chance (`lead_bits`): those with enough junctions to be merged. If
+    there are none, smaller ones that reach the threshold, or that of two runs by their counted
+    bits."""
+    beyond = [c for c in candidates if c.bits > MATCH.lead_bits]
+    enough = [c for c in beyond if c.witnesses >= threshold.settings.min_matches]
     alone = needed_bits(1, threshold.settings)
-    return enough or [c for c in odd if c.bits > threshold.need_bits or c.counted_bits > alone]
+    return enough or [c for c in beyond if c.bits > threshold.need_bits or c.counted_bits > alone]
 
 
 def _missing(first: Weighed, margin: float | None, threshold: Threshold) -> str:
     """What an alignment lacks for being merged, as a clause; "" if nothing."""
     best = first.candidate
-    if first.from_copies < min(first.carried, threshold.need_bits):
+    if first.copy_bits < min(first.chance_bits, threshold.need_bits):
         return MAYBE_COPY
-    if first.carried < threshold.need_bits:
+    if first.chance_bits < threshold.need_bits:
         return "chance offers as much too often"
     if best.rival:
         return MAYBE_COPY
@@ -391,13 +392,12 @@ def _missing(first: Weighed, margin: float | None, threshold: Threshold) -> str:
 
 
 def _contested(ranked: Sequence[Weighed]) -> bool:
-    """Whether another placement contests the first of ranked ones and is less than `contested_bits`
-    behind.
+    """Whether another placement contests the first one and is less than `contested_bits` behind.
 
-    Then one of the two is a copy without any difference that both runs saw, and the evidence
-    overstates the difference between the two: twice the lead is required. Rows merge wrongly
-    without it, rotated by half a turn (4.4 bits ahead); correct pairs of offices lead by more
-    (11.8), and of the alias and standard suites it costs none.
+    One of the two is then a copy, and neither run saw a difference. The evidence overstates their
+    difference, so that twice the lead is required. Without this, rows merge wrongly, rotated by
+    half a turn (4.4 bits ahead). Correct pairs of offices lead by more (11.8), and of the alias and
+    standard suites it costs none.
     """
     first, *others = ranked
     return any(
@@ -407,7 +407,6 @@ def _contested(ranked: Sequence[Weighed]) -> bool:
 
 
 def _contests(other: Weighed, first: Weighed) -> bool:
-    """Whether another placement is not explained by chance either, and has no more evidence against
-    it."""
-    against, least = (w.candidate.contradicting_bits for w in (other, first))
-    return other.carried >= other.need and against <= least
+    """Whether another placement is beyond chance, too, and has no more evidence against it."""
+    against_other, against_first = (w.candidate.contradicting_bits for w in (other, first))
+    return other.chance_bits >= other.need and against_other <= against_first

@@ -1,9 +1,10 @@
-"""What views say of candidate placements.
+"""Evidence of views for and against candidate placements of two maps.
 
-Views are registered where a placement lays them over each other. Their agreement z is averaged over
-parts of the overlap, and over the parts of a placement: neighbours err together. The mean is
-compared with what false placements reach, for the two questions of robust merging: of different
-buildings (chance), and of the same two maps and of either with itself (copies).
+Views are registered where a placement lays them over each other. Their agreement z (`Registered.z`)
+is averaged over parts of the overlap first, because neighbouring views err together, and then over
+all parts. The mean is compared with the means of false placements, for the two questions of robust
+merging: is it chance (null: placements of different buildings), and is it a copy (null: other
+placements of the two maps, and of each map on itself)?
 """
 
 from __future__ import annotations
@@ -16,45 +17,44 @@ from itertools import pairwise
 import numpy as np
 
 from ...topology.arrays import BoolArray, FloatArray, IntArray
+from ...topology.columns import take
 from ...topology.matching.likelihood import BIT
 from ...topology.matching.views import LEAST_SAME, Registered, register
 from ...topology.se2 import apply, between, compose, fit_rigid, rigid_from_sums
 from ...topology.views import Views
 from ..wording import AGREES_BITS
 from .settings import MATCH
-from .view_search import KEPT, Picture, pictured, placements
+from .view_search import CACHED_MAPS, Picture, evenly_spread, pictured, placements
 
 NEAR_M = 2.5
-"""Views as near to each other as this are laid over each other: they share most of what they show.
-With 4 m the tail below is that of one part fewer; two pairs of runs in a hall gain 3 and 5 bits by
-it, others lose 1 to 5, and no verdict changes.
-"""
+"""Largest distance of two views that are registered with each other: they share most of what they
+show. With 4 m the tail below is that of one part fewer; two pairs of runs in a hall gain 3 and 5
+bits, others lose 1 to 5, and no verdict changes."""
 SLACK_M, SLACK_RAD = 0.8, 0.12
-"""How far a placement may be off at a view: 2 sigma of the drift within a map."""
+"""Largest error of a placement at a view: 2 sigma of the drift within a map."""
 TURNS = np.linspace(-SLACK_RAD, SLACK_RAD, 5)
 CELL_M = 8.0
-"""Views within as much tell the same: they count once (of places that agree by one false seed, 6 to
-43 % of others nearer than that exceed the null's 99 %, 0 to 28 % beyond)."""
-FEW, MOST = 6, 24
+"""Side of the parts of an overlap, each of which counts once. Of places that agree by one false
+seed, 6 to 43 % of others within this distance exceed the null's 99 %, 0 to 28 % beyond."""
+SEARCH_PAIRS, JUDGE_PAIRS = 6, 24
 """Pairs of views that are registered to find the best placements, and to judge one."""
 LEAST_Z = 1.5
-"""Pairs that agree less do not place one map in the other: of other places 99 % stay below it in
-five real buildings."""
+"""Least z of a pair of views of one place: 99 % of other pairs are below, in five buildings."""
 PASSES_M = 20.0
-"""Way between two passes that do not share scans."""
-AT_HAND_M = 1.5
-"""Passes of one run by one place lie within as much."""
+"""Least way between two passes that share no scans."""
+REVISIT_M = 1.5
+"""Largest distance of two passes of one run by one place."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ViewEvidence:
-    """Views of two maps that a placement lays over each other.
+    """Evidence of the k pairs of views that a placement lays over each other, in c parts.
 
-    first, second: (k,) views of a and b; transform, information: of their registration, as in
-    `Registered`, (k, 3) and (k, 3, 3); z: (k,) `Registered.z`; cell: (k,) the part of the overlap
-    that each is in; bits: (c,) evidence of every part against chance, positive for the placement;
-    copies: evidence that it is no copy [bits]; repeated: 0 to 1, how likely it is a copy by its
-    size; null: (2,) middle and spread of z at the placements of copies.
+    first, second: (k,) views of a and b; transform, information: (k, 3) and (k, 3, 3) of their
+    registration, as in `Registered`; z: (k,) `Registered.z`; cell: (k,) part of the overlap of each
+    pair; bits: (c,) evidence of every part against chance, positive for the placement; copies:
+    evidence that it is no copy [bits]; repeated: 0 to 1, how likely it is a copy by its size; null:
+    (2,) mean and standard deviation of z at the placements of copies.
     """
 
     first: IntArray
@@ -73,64 +73,62 @@ class ViewEvidence:
 
     @property
     def total(self) -> float:
-        """The evidence for the placement, less that against it [bits]."""
+        """Evidence for the placement, minus evidence against it [bits]."""
         return float(self.bits.sum())
 
     @property
     def against(self) -> float:
-        """The evidence against the placement, positive [bits]."""
+        """Evidence against the placement, positive [bits]."""
         return -float(self.bits[self.bits < 0].sum())
 
     @property
     def agreeing(self) -> int:
-        """Parts of the overlap that speak for the placement."""
+        """Number of parts that support the placement."""
         return int(np.count_nonzero(self.bits > AGREES_BITS))
 
     @property
     def junctions(self) -> float:
-        """As how many junctions the parts weigh that speak for the placement: each as its bits, of
-        which `MATCH.junction_bits` are one, at least one and at most two. Where maps repeat
-        themselves, what repeats is no witness."""
+        """Number of junctions that the supporting parts are worth: each its bits divided by
+        `MATCH.junction_bits`, between one and two; fewer where the buildings repeat themselves."""
         weight = np.clip(self.bits / MATCH.junction_bits, 1.0, 2.0)
-        return float(weight[self.bits > AGREES_BITS].sum()) * (1.0 - self.alike)
+        return float(weight[self.bits > AGREES_BITS].sum()) * (1.0 - self.self_similarity)
 
     @property
-    def alike(self) -> float:
+    def self_similarity(self) -> float:
         """0 to 1: how far the buildings repeat themselves, by the z of copies; 1 without views."""
-        return _alike(*self.null) if len(self) else 1.0
+        return _self_similarity(*self.null) if len(self) else 1.0
 
-    def off_m(self, a: Views, b: Views) -> float:
-        """Root mean square distance of the parts that agree, as they are registered in the first
-        map, from where one rigid motion of the second lays them [m]; inf for fewer than
-        `MATCH.fewest`. The views of both maps are given."""
-        good = self.z > LEAST_Z
-        cell = np.unique(self.cell[good], return_inverse=True)[1]
-        there = compose(a.pose[self.first[good]], self.transform[good])
-        one, two = (
-            np.stack([_means(cell, pose[:, k]) for k in (0, 1)], axis=1)
-            for pose in (there, b.pose[self.second[good]])
+    def residual_m(self, a: Views, b: Views) -> float:
+        """Root mean square residual [m] of one rigid motion of b fitted to the registered
+        positions of the parts that agree; inf for fewer parts than `MATCH.fewest`."""
+        agrees = self.z > LEAST_Z
+        part = np.unique(self.cell[agrees], return_inverse=True)[1]
+        registered = compose(a.pose[self.first[agrees]], self.transform[agrees])
+        xy_a, xy_b = (
+            np.stack([_cell_means(part, pose[:, k]) for k in (0, 1)], axis=1)
+            for pose in (registered, b.pose[self.second[agrees]])
         )
-        if len(one) < MATCH.fewest:
+        if len(xy_a) < MATCH.fewest:
             return np.inf
-        off = one - apply(fit_rigid(one, two), two)
-        return float(np.sqrt((off**2).sum(axis=1).mean()))
+        residual = xy_a - apply(fit_rigid(xy_a, xy_b), xy_b)
+        return float(np.sqrt((residual**2).sum(axis=1).mean()))
 
-    def most_against(self, away_m: FloatArray) -> FloatArray:
-        """(n,) upper bound of what each of n junctions tells against the placement [bits], by the
-        walls around it. away_m: (n, k) its distance [m] from every pair of views.
+    def penalty_bound(self, distance_m: FloatArray) -> FloatArray:
+        """(n,) upper bound of the evidence of each of n junctions against the placement [bits], by
+        the walls around the junction. distance_m: (n, k) of junctions from pairs of views [m].
 
-        A junction tells against it if only one run detected it, or if its branches or corridors
-        differ. Where the walls agree, the detector saw the same place in two ways (`UNSEEN_BITS`).
-        Where a building repeats itself, walls of its copies agree as well, and the bound is higher.
+        A junction counts against a placement if only one run detected it, or if its branches or
+        corridors differ. Where the walls agree, the detector failed (`UNSEEN_BITS`). Where a
+        building repeats itself, walls of copies agree as well, and the bound is higher.
         """
-        if not len(self) or not len(away_m):
-            return np.full(len(away_m), np.inf)
-        nearest = away_m.argmin(axis=1)
-        part = _means(self.cell, self.z)[self.cell[nearest]]
-        agree = np.clip((part - UNSEEN_Z[0]) / (UNSEEN_Z[1] - UNSEEN_Z[0]), 0.0, 1.0)
-        agree *= 1.0 - self.alike
-        most = MATCH.most_bits + agree * (UNSEEN_BITS - MATCH.most_bits)
-        return np.where(away_m.min(axis=1) < CELL_M / 2, most, np.inf)
+        if not len(self) or not len(distance_m):
+            return np.full(len(distance_m), np.inf)
+        nearest = distance_m.argmin(axis=1)
+        part_z = _cell_means(self.cell, self.z)[self.cell[nearest]]
+        agreement = np.clip((part_z - UNSEEN_Z[0]) / (UNSEEN_Z[1] - UNSEEN_Z[0]), 0.0, 1.0)
+        agreement *= 1.0 - self.self_similarity
+        bound = MATCH.most_bits + agreement * (UNSEEN_BITS - MATCH.most_bits)
+        return np.where(distance_m.min(axis=1) < CELL_M / 2, bound, np.inf)
 
 
 NO_VIEW_EVIDENCE = ViewEvidence(
@@ -144,192 +142,194 @@ NO_VIEW_EVIDENCE = ViewEvidence(
     0.0,
     np.zeros(2),
 )
-"""Of maps without views, and where none lie over each other."""
+"""Evidence of a placement that lays no views over each other."""
 
 
 @dataclass(frozen=True, eq=False)
-class Laid:
-    """Views of two maps laid over each other, and registered.
+class Overlap:
+    """Views of two maps that a placement lays over each other: k pairs, in c parts.
 
-    first, second: (k,) rows; predicted: (k, 3) poses of the second in the frame of the first map;
-    there: the same by registration; found: their registration.
+    first, second: (k,) rows of the views; predicted: (k, 3) poses of the second views in the frame
+    of the first map, by the placement; registered: (k, 3) the same by registration; registration:
+    of the pairs.
     """
 
     first: IntArray
     second: IntArray
     predicted: FloatArray
-    there: FloatArray
-    found: Registered
+    registered: FloatArray
+    registration: Registered
 
     def __len__(self) -> int:
         return len(self.first)
 
-    def some(self, rows: slice) -> Laid:
-        """These pairs of views."""
-        return Laid(
-            self.first[rows],
-            self.second[rows],
-            self.predicted[rows],
-            self.there[rows],
-            self.found.some(rows),
-        )
-
     @cached_property
     def cell(self) -> IntArray:
-        """(k,) the part of the overlap that each pair of views is in."""
-        spot = np.floor(self.predicted[:, :2] / CELL_M).astype(np.int64)
-        return np.unique(spot, axis=0, return_inverse=True)[1].reshape(-1)
+        """(k,) part of the overlap that each pair is in."""
+        square = np.floor(self.predicted[:, :2] / CELL_M).astype(np.int64)
+        return np.unique(square, axis=0, return_inverse=True)[1].reshape(-1)
 
     @cached_property
-    def parts(self) -> FloatArray:
-        """(c,) mean z of every part of the overlap."""
-        return _means(self.cell, self.found.z)
+    def part_z(self) -> FloatArray:
+        """(c,) mean z of every part."""
+        return _cell_means(self.cell, self.registration.z)
 
     @cached_property
-    def telling(self) -> FloatArray:
-        """(k,) z as far as it tells (`DETAIL`): a bare wall agrees with many."""
-        most = np.log(np.maximum(self.found.detail, 1.0)) - DETAIL
-        return np.minimum(self.found.z, np.clip(most, *DETAILED_Z))
+    def informative_z(self) -> FloatArray:
+        """(k,) z, bounded by the detail of the walls (`DETAIL`): a bare wall agrees with many."""
+        bound = np.log(np.maximum(self.registration.detail, 1.0)) - DETAIL
+        return np.minimum(self.registration.z, np.clip(bound, *DETAILED_Z))
 
     @cached_property
-    def telling_parts(self) -> FloatArray:
-        """(c,) mean of `telling` of every part of the overlap."""
-        return _means(self.cell, self.telling)
+    def informative_part_z(self) -> FloatArray:
+        """(c,) mean of `informative_z` of every part."""
+        return _cell_means(self.cell, self.informative_z)
 
-    def parts_of(self, some: BoolArray) -> FloatArray:
-        """`telling_parts` by some of the pairs of views (k,)."""
-        return _means(self.cell[some], self.telling[some])
+    def informative_part_z_of(self, chosen: BoolArray) -> FloatArray:
+        """`informative_part_z` of the chosen pairs (k,) alone, without empty parts."""
+        return _cell_means(self.cell[chosen], self.informative_z[chosen])
 
     @cached_property
     def correction(self) -> FloatArray:
-        """(3,) what moves the predicted poses to the registered ones best; zeros if none agrees."""
-        weight = np.clip(self.found.z - LEAST_Z, 0.0, 2.0)
+        """(3,) rigid motion from predicted to registered poses that agree; zeros if none do."""
+        weight = np.clip(self.registration.z - LEAST_Z, 0.0, 2.0)
         total = weight.sum()
         if total <= 0:
             return np.zeros(3)
-        za, zb = (pose[:, 0] + 1j * pose[:, 1] for pose in (self.there, self.predicted))
-        turned = np.exp(1j * (self.there[:, 2] - self.predicted[:, 2]))
-        lever = MATCH.place_m**2 * (weight * turned).sum()
+        za, zb = (pose[:, 0] + 1j * pose[:, 1] for pose in (self.registered, self.predicted))
+        rotation = np.exp(1j * (self.registered[:, 2] - self.predicted[:, 2]))
+        lever = MATCH.place_m**2 * (weight * rotation).sum()
         sum_a, sum_b, sum_ab = ((weight * z).sum() for z in (za, zb, za * zb.conj()))
-        unit, ma, mb = rigid_from_sums(total, sum_a, sum_b, sum_ab, lever)
-        shift = ma - unit * mb
+        unit, centre_a, centre_b = rigid_from_sums(total, sum_a, sum_b, sum_ab, lever)
+        shift = centre_a - unit * centre_b
         return np.array([shift.real, shift.imag, float(np.angle(unit))])
 
-    def better(self, T_a_b: FloatArray) -> FloatArray:
-        """The placement (3,) that led to the predicted poses, corrected."""
+    def corrected(self, T_a_b: FloatArray) -> FloatArray:
+        """The placement (3,) that gave the predicted poses, moved by `correction`."""
         return compose(self.correction, T_a_b)
 
     @cached_property
     def consistency(self) -> FloatArray:
-        """(c,) how far every part of the overlap agrees with the others on one placement: by the
-        mean distance of registered from corrected poses, 1 within `CONSISTENT_M`, 0 at twice that,
-        -1 from thrice on; less the share that the placement was fitted to."""
-        off = self.there[:, :2] - compose(self.correction, self.predicted)[:, :2]
-        apart_m = _means(self.cell, np.hypot(*off.T))
-        known = (min(len(apart_m), MOST_PARTS) - 1) / len(apart_m)
-        return known * (1.0 - np.clip(apart_m / CONSISTENT_M - 1.0, 0.0, 2.0))
+        """(c,) how far every part agrees with the others on one placement, by the mean distance of
+        registered from corrected poses: 1 within `CONSISTENT_M`, 0 at twice that, -1 from thrice
+        on; times the share of the parts that the correction was not fitted to."""
+        residual = self.registered[:, :2] - compose(self.correction, self.predicted)[:, :2]
+        residual_m = _cell_means(self.cell, np.hypot(*residual.T))
+        unfitted = (min(len(residual_m), MOST_PARTS) - 1) / len(residual_m)
+        return unfitted * (1.0 - np.clip(residual_m / CONSISTENT_M - 1.0, 0.0, 2.0))
 
     @property
     def consistent_parts(self) -> float:
-        """As how many parts agree on the placement; 0 of too few to tell."""
-        return float(self.consistency.sum()) if len(self.parts) >= MATCH.fewest else 0.0
+        """Number of parts that agree on the placement; 0 with fewer parts than `MATCH.fewest`."""
+        return float(self.consistency.sum()) if len(self.part_z) >= MATCH.fewest else 0.0
 
 
-def _means(cell: IntArray, values: FloatArray) -> FloatArray:
+def _cell_means(cell: IntArray, values: FloatArray) -> FloatArray:
     """(c,) mean of the values (k,) in every cell that has any."""
     count = np.bincount(cell)
     return np.asarray(np.bincount(cell, values)[count > 0] / count[count > 0])
 
 
-def laid(
+def overlaps(
     a: Picture, b: Picture, placed: Sequence[FloatArray], most: int, slack_m: float = SLACK_M
-) -> list[Laid]:
-    """Of each placement up to `most` views of b registered with the nearest views of a. placed: of
-    each (n, 3) poses of all views of b in the frame of a."""
+) -> list[Overlap]:
+    """The overlap of each placement: up to `most` views of b, registered with the nearest of a.
+
+    placed: for each placement (n, 3) poses of all views of b in the frame of a; slack_m: largest
+    shift of the registration [m].
+    """
     if not len(placed):
         return []
-    rows = [_near(a, poses, most) for poses in placed]
+    rows = [_nearest_views(a, poses, most) for poses in placed]
     first, second = (np.concatenate(column) for column in zip(*rows, strict=True))
     predicted = np.concatenate([poses[near] for poses, (_, near) in zip(placed, rows, strict=True)])
-    relative = between(a.pose[first], predicted)
-    turns = relative[:, 2, None] + TURNS
-    found = register(
-        a.index, b.index, first, second, turns, reach_m=slack_m, centre=relative[:, :2]
-    )
-    there = compose(a.pose[first], found.transform)
-    every = Laid(first, second, predicted, there, found)
+    expected = between(a.pose[first], predicted)
+    registration = _registered(a, b, (first, second), expected, slack_m)
+    registered = compose(a.pose[first], registration.transform)
+    concatenated = Overlap(first, second, predicted, registered, registration)
     ends = np.cumsum([len(near) for _, near in rows]).tolist()
-    return [every.some(slice(begin, end)) for begin, end in pairwise([0, *ends])]
+    return [take(concatenated, slice(begin, end)) for begin, end in pairwise([0, *ends])]
 
 
-def _near(a: Picture, poses: FloatArray, most: int) -> tuple[IntArray, IntArray]:
-    """Up to `most` views of a, and those of b that lie nearest to them, at poses (n, 3)."""
+def _registered(
+    a: Picture, b: Picture, pairs: tuple[IntArray, IntArray], expected: FloatArray, slack_m: float
+) -> Registered:
+    """Pairs of views of a and b registered around the expected poses (k, 3)."""
+    turns, centre = expected[:, 2, None] + TURNS, expected[:, :2]
+    return register(a.index, b.index, *pairs, turns, reach_m=slack_m, centre=centre)
+
+
+def _nearest_views(a: Picture, poses: FloatArray, most: int) -> tuple[IntArray, IntArray]:
+    """Up to `most` pairs of views within `NEAR_M`: rows of a, and of b at poses (n, 3)."""
     gap, closest = a.nearest.query(poses[:, :2])
     near = np.flatnonzero(gap < NEAR_M)
-    few = np.linspace(0, len(near) - 1, min(len(near), most))
-    second = near[np.unique(np.rint(few).astype(np.int64))]
+    second = near[evenly_spread(len(near), most)]
     return np.asarray(closest, np.int64)[second], second
 
 
-def refined(
-    a: Picture, b: Picture, proposed: FloatArray, most: int = FEW
-) -> list[tuple[FloatArray, Laid]]:
-    """Proposed placements (p, 3) corrected by up to `most` of the views that they lay over each
-    other, those that agree best first."""
-    every = laid(a, b, [compose(T, b.pose) for T in proposed], most, 2 * SLACK_M)
-    out = [(some.better(T), some) for T, some in zip(proposed, every, strict=True)]
-    return sorted(out, key=lambda case: -_agreement(case[1]))
+def refine(
+    a: Picture, b: Picture, proposed: FloatArray, most: int = SEARCH_PAIRS
+) -> list[tuple[FloatArray, Overlap]]:
+    """Proposed placements (p, 3), each corrected by up to `most` pairs of views, with the overlap
+    before the correction; those that agree best first."""
+    found = overlaps(a, b, [compose(T, b.pose) for T in proposed], most, 2 * SLACK_M)
+    refined = [(overlap.corrected(T), overlap) for T, overlap in zip(proposed, found, strict=True)]
+    return sorted(refined, key=lambda item: -_agreement(item[1]))
 
 
-def _agreement(some: Laid) -> float:
-    return float(np.maximum(some.telling - LEAST_Z, 0.0).sum())
+def _agreement(overlap: Overlap) -> float:
+    return float(np.maximum(overlap.informative_z - LEAST_Z, 0.0).sum())
 
 
-def worth_judging(some: Laid) -> bool:
-    """Whether a placement has a chance: half of its views agree more than those of other places,
-    or more parts agree on it than by chance."""
-    if not len(some):
+def worth_judging(overlap: Overlap) -> bool:
+    """Whether a placement may be right: half of its pairs of views agree more than pairs of other
+    places do, or more parts are consistent than by chance."""
+    if not len(overlap):
         return False
-    agree = float(np.median(some.found.z)) > LEAST_Z
-    return agree or some.consistent_parts > CHANCE_PARTS
+    agrees = float(np.median(overlap.registration.z)) > LEAST_Z
+    return agrees or overlap.consistent_parts > CHANCE_PARTS
 
 
-def judged(
-    here: Laid, elsewhere: Sequence[Laid], selves: Sequence[Repeats], same: FloatArray
+def view_evidence(
+    overlap: Overlap,
+    others: Sequence[Overlap],
+    repeats_of_both: Sequence[Repeats],
+    revisit_z: FloatArray,
 ) -> ViewEvidence:
-    """The evidence of views. elsewhere: other placements of the two maps; selves: of either map
-    on other parts of itself; same: z of the runs' revisits."""
-    if not len(here):
+    """The evidence of views for a placement, by its overlap.
+
+    others: overlaps of other placements of the two maps; repeats_of_both: of either map on itself;
+    revisit_z: z of the revisits of both runs.
+    """
+    if not len(overlap):
         return NO_VIEW_EVIDENCE
-    part = here.parts
-    null = _level(
-        [own.z for own in selves], [other.telling_parts for other in elsewhere if len(other)]
+    null = _copy_level(
+        [repeats.z for repeats in repeats_of_both],
+        [other.informative_part_z for other in others if len(other)],
     )
-    true = _true(same)
-    telling = here.telling_parts
-    mean = float(telling.mean())
-    total = _against_chance(mean, len(part), null, true)
+    true = _true_level(revisit_z)
+    part_z = overlap.informative_part_z
+    mean = float(part_z.mean())
+    total = _chance_bits(mean, len(part_z), null, true)
     # Every part contributes its share, more or less as its z lies above or below the mean.
-    slope = (_against_chance(mean + SLOPE_Z, len(part), null, true) - total) / SLOPE_Z
-    bits = (total + slope * (telling - mean)) / len(part)
-    copied = [own.consistent_parts for own in selves]
-    copied += [other.consistent_parts for other in elsewhere]
-    bits += _consistent(here, max(copied), null)
-    size = max(own.size for own in selves)
-    repeated = min(max(2.0 - _size(telling) / size, 0.0), 1.0) if size > 0 else 0.0
+    slope = (_chance_bits(mean + SLOPE_Z, len(part_z), null, true) - total) / SLOPE_Z
+    bits = (total + slope * (part_z - mean)) / len(part_z)
+    in_copies = [repeats.consistent_parts for repeats in repeats_of_both]
+    in_copies += [other.consistent_parts for other in others]
+    bits += _consistency_bits(overlap, max(in_copies), null)
+    largest = max(repeats.size for repeats in repeats_of_both)
+    repeated = min(max(2.0 - _agreeing_size(part_z) / largest, 0.0), 1.0) if largest > 0 else 0.0
     # If none of n others is as good, the next one is at a rate of .5 / (n + 1) (Jeffreys' prior).
-    unseen = float(np.log2(2 * (null.count + 1)))
-    copies = min(_odds(mean, null, true), unseen)
-    found = here.found
+    most_bits = float(np.log2(2 * (null.count + 1)))
     return ViewEvidence(
-        here.first,
-        here.second,
-        found.transform,
-        found.information,
-        found.z,
-        here.cell,
+        overlap.first,
+        overlap.second,
+        overlap.registration.transform,
+        overlap.registration.information,
+        overlap.registration.z,
+        overlap.cell,
         bits,
-        copies,
+        min(_copy_bits(mean, null, true), most_bits),
         repeated,
         np.array([null.mean, null.sigma]),
     )
@@ -337,133 +337,136 @@ def judged(
 
 @dataclass(frozen=True, slots=True)
 class Level:
-    """A normal distribution of the mean z of placements, known from `count` of them."""
+    """A normal distribution of the mean z of placements, estimated from `count` of them."""
 
     mean: float
     sigma: float
     count: int = 0
 
 
-USUAL, USUAL_COUNT = Level(1.4, 0.5), 5
-"""The mean z of false placements with `MATCH.fewest` parts and more, in five real buildings: the
-prior of two maps; of the mean if there are fewer placements, of the spread with the weight of so
-many. Placements with fewer parts tell nothing of the level of others: their mean scatters more."""
+FALSE, FALSE_COUNT = Level(1.4, 0.5), 5
+"""Prior of the mean z of false placements of two maps, from placements with `MATCH.fewest` parts
+and more in five real buildings. It stands in for the placements that are fewer than the count; the
+spread has it with this weight. Placements with fewer parts scatter more and are not used."""
 LEAST_SIGMA = 0.3
 """Lower bound of its spread: mazes and organic ways have .2 to .3."""
 TRUE, TRUE_OF_RUN = Level(3.3, 0.9), 0.5
-"""The mean z of true placements: over saved maps and runs, and its spread where revisits of the two
-runs tell the mean."""
-LESS_Z = 0.4
-"""By so much it is lower between runs than at revisits of one, in the median of 45 true pairs."""
+"""The mean z of true placements, from saved maps and runs; its spread where revisits of the two
+runs give the mean."""
+BETWEEN_RUNS_Z = 0.4
+"""By so much z is lower between runs than at revisits of one: median of 45 true pairs."""
 TRUE_Z = (2.5, 5.2)
-"""Range of the means of runs."""
+"""Range of the mean z of true placements, of all runs."""
 DETAIL, DETAILED_Z = 2.7, (2.5, 4.5)
-"""Views of one map lie by chance on a bare wall or corridor of another building and agree perfectly
-there: z counts as far as the logarithm of the detail (`Registered.detail`, 430 in the median of
-false placements, 1,160 of true ones), less the first, within the others; 2.5 is no evidence. Of 588
-false placements with 4 or 5 parts the mean z exceeds 3.1 in a hundredth, 2.5 by this; of true ones
-it stays 3.4 in the median."""
-CHANGED = Level(TRUE.mean, 0.6)
-"""`TRUE` by this z, at most: recordings of different days agree less than revisits of one. Held to
-the run's own revisits, simulated runs in two real offices, furnished anew for each of them, lost 7
-to 10 bits a pair."""
+"""z is bounded by ln(detail) - DETAIL, clipped to DETAILED_Z; 2.5 is no evidence. Views of one map
+lie by chance on a bare wall or corridor of another building and agree perfectly there. The detail
+(`Registered.detail`) is 430 in the median of false placements, 1,160 of true ones. Of 588 false
+placements with 4 or 5 parts the mean z exceeds 3.1 in a hundredth, 2.5 by this; of true ones it
+stays 3.4 in the median."""
+TRUE_LATER = Level(TRUE.mean, 0.6)
+"""Upper bound of the mean z of true placements, against chance: recordings of different days agree
+less than revisits of one run. Held to the run's own revisits, simulated runs in two real offices,
+furnished anew for each of them, lost 7 to 10 bits a pair."""
 TAIL_Z, TAIL_LESS, LEAST_TAIL_Z = 2.7, 0.15, 2.3
 RATE, RATE_MORE = 3.0, 0.7
 MOST_PARTS = 8
-"""The tail of the mean z of false placements, 2,783 of 924 pairs of maps of different buildings
-(four recorded with a laser, two simulated in saved maps, three of saved maps, offices, tunnels): a
-tenth lies above 2.7 with one part, less with more; from there on the density falls by exp(-3 z)
-with one part, faster with more. Of 1,784 pairs of different buildings .8 % exceed 4 bits by it,
-.4 % 6, .2 % 8 (6, 1.6 and .4 % may); of placements with five witnesses none exceeds 0."""
+"""The tail of the mean z of false placements of different buildings. A tenth lies above 2.7 with
+one part, less with more; from there on the density falls by exp(-3 z) with one part, faster with
+more, up to MOST_PARTS. From 2,783 placements of 924 pairs of maps (four buildings recorded with a
+laser, two simulated in saved maps, three of saved maps, offices, tunnels). Of 1,784 pairs of
+different buildings .8 % exceed 4 bits by it, .4 % 6, .2 % 8 (6, 1.6 and .4 % may); of placements
+with five witnesses none exceeds 0."""
 CONSISTENT_BITS, CONSISTENT_M = 1.5, 0.2
-"""What a part tells that lies within the second of where the others put it; nothing at twice that,
+"""Evidence of a part within the distance of where the others put it: none at twice the distance,
 and as much against the placement from .6 m on. Of 134 true placements the parts are .19 m apart in
 the median, of 1,344 false ones with four parts .5 m, with eight and more .75 m. With these bits 1.6
 % of 1,568 pairs of different kinds of building exceed 4 bits by their views, .7 % 6, .3 % 8 and
 none 9.6; without them 1.5, .5, .1 and none. The true ones gain 4 bits in the median."""
 PART_BITS, CHANCE_PARTS = 3.0, 3.0
-"""What every further part tells, where more parts agree on one placement than the second, and than
-on any copy: on another placement of the two maps, or of either on itself. Rooms of one size, desks
-or columns in rows agree there as well. Of 1,763 false placements of 252 pairs of buildings 24 have
-more than three parts that agree, 2 more than their copies; true ones have four in the median of
-recordings of one floor, seven where furniture was moved. With `CONSISTENT_BITS` a part tells 3.2
-bits at most: within `CONSISTENT_M` lie .74 of the parts of true and .07 of those of false ones."""
+"""Evidence of every consistent part beyond CHANCE_PARTS, and beyond those of any copy: another
+placement of the two maps, or of either on itself. Rooms of one size, desks or columns in rows are
+consistent there as well. Of 1,763 false placements of 252 pairs of buildings 24 have more than
+three parts that agree, 2 more than their copies; true ones have four in the median of recordings of
+one floor, seven where furniture was moved. With `CONSISTENT_BITS` a part has 3.2 bits at most:
+within `CONSISTENT_M` lie .74 of the parts of true and .07 of those of false ones."""
 UNSEEN_BITS, UNSEEN_Z = 0.7, (2.0, 3.0)
-"""Upper bound of what a junction tells against a placement, where the mean z of its part of the
-overlap reaches the second value; none up to the first. Of the junctions that only one of two
+"""Upper bound of the evidence of a junction against a placement, where the mean z of its part of
+the overlap reaches the second z; unbounded up to the first. Of the junctions that only one of two
 runs detected, or both, in 60 pairs of one place, 102 of 442 were missed, by one building 2 of 5;
 they cost up to 18 bits a pair. In false placements about half are missed, and 3 of 100 parts agree
 as much."""
 SLOPE_Z = 0.05
-"""Step of a derivative."""
+"""Step of a numerical derivative."""
 
 
-def _level(selves: Sequence[FloatArray], others: Sequence[FloatArray]) -> Level:
-    """The level of copies: of repetitions within the maps and of other placements of the two."""
-    own = [float(part.mean()) for part in others if len(part) >= MATCH.fewest]
-    z = np.concatenate([*selves, own])
-    unknown = max(USUAL_COUNT - len(z), 0)
-    mean = float(z.sum() + unknown * USUAL.mean) / (len(z) + unknown)
-    squares = float(((z - mean) ** 2).sum()) + USUAL_COUNT * USUAL.sigma**2
-    sigma = max(float(np.sqrt(squares / (len(z) + USUAL_COUNT))), LEAST_SIGMA)
-    return Level(mean, sigma, max(len(z), USUAL_COUNT))
+def _copy_level(repeat_z: Sequence[FloatArray], other_part_z: Sequence[FloatArray]) -> Level:
+    """The mean z of copies: of repeats within the maps, and of other placements, by their parts."""
+    other_z = [float(part_z.mean()) for part_z in other_part_z if len(part_z) >= MATCH.fewest]
+    z = np.concatenate([*repeat_z, other_z])
+    lacking = max(FALSE_COUNT - len(z), 0)
+    mean = float(z.sum() + lacking * FALSE.mean) / (len(z) + lacking)
+    squares = float(((z - mean) ** 2).sum()) + FALSE_COUNT * FALSE.sigma**2
+    sigma = max(float(np.sqrt(squares / (len(z) + FALSE_COUNT))), LEAST_SIGMA)
+    return Level(mean, sigma, max(len(z), FALSE_COUNT))
 
 
-def _true(same: FloatArray) -> Level:
-    if len(same) < LEAST_SAME:
+def _true_level(revisit_z: FloatArray) -> Level:
+    """The mean z of true placements of two runs, by z of their revisits."""
+    if len(revisit_z) < LEAST_SAME:
         return TRUE
-    return Level(float(np.clip(np.median(same) - LESS_Z, *TRUE_Z)), TRUE_OF_RUN)
+    return Level(float(np.clip(np.median(revisit_z) - BETWEEN_RUNS_Z, *TRUE_Z)), TRUE_OF_RUN)
 
 
-def _against_chance(mean: float, parts: int, null: Level, true: Level) -> float:
-    """Evidence of a mean z of some parts against a placement of different buildings [bits]. Where a
-    building repeats itself others of its kind are alike, too, and where nothing in it is alike
-    others are not either: a level of copies that is high or low shifts the tail, a low one that of
-    placements with `MATCH.fewest` parts and more, which it is known from. By one or two parts false
-    placements in halls would reach 8.7 and 13 bits (1,600 pairs of buildings), 6.6 without."""
+def _chance_bits(mean: float, parts: int, null: Level, true: Level) -> float:
+    """Evidence of the mean z of some parts against a placement of different buildings [bits].
+
+    Buildings that repeat themselves resemble others of their kind, and buildings without repeats do
+    not: the tail shifts with the level of copies. A low level shifts it only for placements with
+    `MATCH.fewest` parts and more, as those that the level is estimated from. With one or two parts
+    false placements in halls would reach 8.7 and 13 bits (1,600 pairs of buildings), 6.6 without.
+    """
     more = min(parts, MOST_PARTS) - 1
     rate = RATE + RATE_MORE * more
     tail = max(TAIL_Z - TAIL_LESS * more, LEAST_TAIL_Z)
     level = null.mean - null.sigma
-    tail += max(level - USUAL.mean, 0.0)
+    tail += max(level - FALSE.mean, 0.0)
     if parts >= MATCH.fewest:
-        tail += min(level - USUAL.mean + USUAL.sigma, 0.0)
-    changed = Level(min(true.mean, CHANGED.mean), CHANGED.sigma)
+        tail += min(level - FALSE.mean + FALSE.sigma, 0.0)
+    later = Level(min(true.mean, TRUE_LATER.mean), TRUE_LATER.sigma)
     chance = float(np.log(0.1 * rate)) - rate * max(mean - tail, 0.0)
-    return _ratio(_log_true(mean, changed), chance)
+    return _ratio_bits(_true_log_density(mean, later), chance)
 
 
-def _consistent(here: Laid, copied: float, null: Level) -> FloatArray:
-    """(c,) evidence that the parts of the overlap agree on one placement, against chance [bits]:
-    parts laid over another building move on their own. copied: the most parts that agree on the
-    placement of a copy (`Laid.consistent_parts`).
+def _consistency_bits(overlap: Overlap, consistent_in_copies: float, null: Level) -> FloatArray:
+    """(c,) evidence that the parts agree on one placement, against chance [bits]: parts laid over
+    another building move independently.
 
-    Where a building repeats itself, so that the level of copies is high, parts of others of its
-    kind agree as well, and that they do is no evidence."""
-    bits = CONSISTENT_BITS * here.consistency
-    share = np.maximum(here.consistency, 0.0)
-    beyond = max(here.consistent_parts - max(copied, CHANCE_PARTS), 0.0)
+    consistent_in_copies: most consistent parts of any copy. Where the buildings repeat themselves,
+    parts of others of their kind agree as well, and agreement is no evidence.
+    """
+    bits = CONSISTENT_BITS * overlap.consistency
+    share = np.maximum(overlap.consistency, 0.0)
+    beyond = max(overlap.consistent_parts - max(consistent_in_copies, CHANCE_PARTS), 0.0)
     bits += PART_BITS * beyond * share / max(float(share.sum()), 1.0)
-    return np.where(bits > 0, bits * (1.0 - _alike(null.mean, null.sigma)), bits)
+    return np.where(bits > 0, bits * (1.0 - _self_similarity(null.mean, null.sigma)), bits)
 
 
-def _alike(mean: float, sigma: float) -> float:
-    """0 to 1: how far the buildings repeat themselves, by the middle and spread of the z of
-    copies."""
-    return min(max((mean - sigma - USUAL.mean) / USUAL.sigma, 0.0), 1.0)
+def _self_similarity(mean: float, sigma: float) -> float:
+    """0 to 1: how far buildings repeat themselves, by the distribution of z of copies."""
+    return min(max((mean - sigma - FALSE.mean) / FALSE.sigma, 0.0), 1.0)
 
 
-def _odds(mean: float, null: Level, true: Level) -> float:
+def _copy_bits(mean: float, null: Level, true: Level) -> float:
     """Evidence of a mean z against a copy [bits]."""
     far = max((mean - null.mean) / null.sigma, 0.0)
     # Tails of normal distributions are exponential from some standard deviations on.
     beyond = max(far - MATCH.length_sigmas, 0.0)
     fall = 0.5 * (far - beyond) ** 2 + MATCH.length_sigmas * beyond
-    return _ratio(_log_true(mean, true), -fall - float(np.log(null.sigma * NORMAL)))
+    return _ratio_bits(_true_log_density(mean, true), -fall - float(np.log(null.sigma * NORMAL)))
 
 
-def _log_true(mean: float, true: Level) -> float:
-    """Log density of a true placement; one that agrees more than usual counts as usual."""
+def _true_log_density(mean: float, true: Level) -> float:
+    """Log density of the mean z of a true placement; more than the expected z counts as that."""
     short = max(true.mean - mean, 0.0) / true.sigma
     return -0.5 * short**2 - float(np.log(true.sigma * NORMAL))
 
@@ -471,9 +474,9 @@ def _log_true(mean: float, true: Level) -> float:
 NORMAL = float(np.sqrt(2 * np.pi))
 
 
-def _ratio(true: float, false: float) -> float:
-    """Log likelihood ratio [bits] of log densities, with a share `fault_floor` of the false
-    one: furniture was moved, doors were shut."""
+def _ratio_bits(true: float, false: float) -> float:
+    """Log likelihood ratio [bits] of two log densities. A share `fault_floor` of true placements
+    follows the false density: furniture was moved, doors were shut."""
     missed = MATCH.fault_floor
     return float(np.logaddexp(np.log(1 - missed) + true - false, np.log(missed))) / BIT
 
@@ -481,54 +484,49 @@ def _ratio(true: float, false: float) -> float:
 @dataclass(frozen=True, slots=True)
 class Repeats:
     """How a map repeats itself. z: (r,) mean z of its placements on other parts of itself; size:
-    the size of the largest (`_size`); consistent_parts: the most of any (`Laid`)."""
+    the largest `_agreeing_size` of any; consistent_parts: the most of any (`Overlap`)."""
 
     z: FloatArray
     size: float
     consistent_parts: float
 
 
-@lru_cache(maxsize=KEPT)
+@lru_cache(maxsize=CACHED_MAPS)
 def repeats(views: Views) -> Repeats:
-    """The placements of a map on other parts of itself, that views propose. A room that looks the
-    same turned is no other part: what a placement turns on its spot does not count."""
+    """The placements of a map on other parts of itself that its views propose. Views that a
+    rotation leaves within their own part do not count: a room may look the same rotated."""
     a = pictured(views)
     moved, consistent_parts = [], 0.0
-    asked = refined(a, a, placements(a, a), MOST)
-    # As placements of two maps are judged: laid where the first registration put them.
-    again = laid(a, a, [compose(T, a.pose) for T, _ in asked], MOST)
-    for (T, some), judged_at in zip(asked, again, strict=True):
-        away = np.abs(a.place[some.first] - a.place[some.second])
+    refined = refine(a, a, placements(a, a), JUDGE_PAIRS)
+    # Consistency is that of the refined placement, as for two maps.
+    again = overlaps(a, a, [compose(T, a.pose) for T, _ in refined], JUDGE_PAIRS)
+    for (T, overlap), refined_overlap in zip(refined, again, strict=True):
+        away = np.abs(a.place[overlap.first] - a.place[overlap.second])
         turned = abs(T[2]) >= MATCH.turn_rad
         if turned or np.hypot(T[0], T[1]) >= MATCH.place_m:
-            moved.append(some.parts_of(away >= (CELL_M if turned else 0.0)))
-            consistent_parts = max(consistent_parts, judged_at.consistent_parts)
-    moved = [part for part in moved if len(part)]
-    level = np.array([part.mean() for part in moved if len(part) >= MATCH.fewest])
-    return Repeats(level, max(map(_size, moved), default=0.0), consistent_parts)
+            moved.append(overlap.informative_part_z_of(away >= (CELL_M if turned else 0.0)))
+            consistent_parts = max(consistent_parts, refined_overlap.consistent_parts)
+    moved = [part_z for part_z in moved if len(part_z)]
+    z = np.array([part_z.mean() for part_z in moved if len(part_z) >= MATCH.fewest])
+    return Repeats(z, max(map(_agreeing_size, moved), default=0.0), consistent_parts)
 
 
-def _size(part: FloatArray) -> float:
-    """How much of two maps agrees at a placement: its parts, times how far their mean z exceeds
-    what parallel walls reach."""
-    return len(part) * max(float(part.mean()) - PARALLEL_Z, 0.0)
+def _agreeing_size(part_z: FloatArray) -> float:
+    """Extent of the agreement: the number of parts, times mean z beyond that of parallel walls."""
+    return len(part_z) * max(float(part_z.mean()) - PARALLEL_Z, 0.0)
 
 
 PARALLEL_Z = 2.0
 """Mean z of places along the same corridor that are laid over each other."""
 
 
-@lru_cache(maxsize=KEPT)
+@lru_cache(maxsize=CACHED_MAPS)
 def revisits(views: Views) -> FloatArray:
-    """z of views of a map with others of the same place, of another pass."""
+    """z of pairs of views of one run, of the same place on different passes."""
     a = pictured(views)
-    way = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(a.place)))])
-    near = a.nearest.query_pairs(AT_HAND_M, output_type="ndarray")
-    near = np.sort(near[np.abs(np.diff(way[near], axis=1)[:, 0]) > PASSES_M], axis=1)
-    first, second = near[np.lexsort((near[:, 1], near[:, 0]))].T
-    few = np.unique(np.rint(np.linspace(0, len(first) - 1, min(len(first), MOST))))
-    first, second = first[few.astype(np.int64)], second[few.astype(np.int64)]
-    relative = between(a.pose[first], a.pose[second])
-    turns = relative[:, 2, None] + TURNS
-    centre = relative[:, :2]
-    return register(a.index, a.index, first, second, turns, reach_m=SLACK_M, centre=centre).z
+    near = a.nearest.query_pairs(REVISIT_M, output_type="ndarray")
+    near = np.sort(near[np.abs(np.diff(a.arc_m[near], axis=1)[:, 0]) > PASSES_M], axis=1)
+    pairs = near[np.lexsort((near[:, 1], near[:, 0]))]
+    first, second = pairs[evenly_spread(len(pairs), JUDGE_PAIRS)].T
+    expected = between(a.pose[first], a.pose[second])
+    return _registered(a, a, (first, second), expected, SLACK_M).z

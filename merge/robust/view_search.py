@@ -1,8 +1,8 @@
-"""Candidate placements from views: the walls of one map found in the other as pictures.
+"""Candidate placements from views: the walls of one map found in another by cross-correlation.
 
-Stretches of way of one map are laid over the whole of the other, in the few turns that lay walls
-along walls, by cross-correlation (FFT). Places of neighbouring stretches that agree are summed up,
-so that a map that drift bends is found as well.
+Stretches of one map's way are laid over the whole other map (FFT), rotated so that walls lie along
+walls. The correlation peaks of a stretch are its placements. Stretches with similar placements
+support each other, so that maps bent by drift are found as well.
 """
 
 from __future__ import annotations
@@ -24,46 +24,47 @@ from ...topology.views import CELL_M, FREE, REACH_M, Views
 from .settings import MATCH
 
 PIXEL_M = 0.4
-"""Side of a pixel: walls that drift and turns have shifted by half of it still meet."""
+"""Side of a pixel: walls that drift and rotations have shifted by half a pixel still meet."""
 STRETCH_M, STEP_M = 24.0, 12.0
-"""Length of the stretches, and from one to the next. Of 19 pairs of five real and simulated
-buildings whose true placement is found at all, none was lost with 16 or 36 m, and more led."""
+"""Length of the stretches, and distance from one to the next. Of 19 pairs of five real and
+simulated buildings whose true placement is found at all, none was lost with 16 or 36 m, and more
+led."""
 MOST_STRETCHES = 16
-"""More would cost time and tell little that is new."""
+"""Stretches of a map that are searched: more take time and add little."""
 MOST_PIXELS = 512
-"""Side of the squares, 205 m, that larger maps are cut into: of runs through tunnels and streets
+"""Side of the squares, 205 m, that larger maps are cut into. Of runs through tunnels and streets
 most squares are empty."""
 OVERLAP_M = STRETCH_M + 4 * REACH_M
-"""By so much squares overlap: a stretch whose middle lies in one lies in it as a whole."""
+"""Overlap of the squares: a stretch whose middle lies in one lies in it as a whole."""
 PEAKS = 3
-"""Best places of a stretch and a turn that are kept."""
+"""Correlation peaks that are kept for each stretch and rotation."""
 CONTRADICTS = 4.0
 """Weight of a wall in the free space of the other map, against one that agrees. With 1 the true
 placement leads in 6 of 16 pairs of real runs, with 2 in 7, with 3, 4 and 8 in 11."""
 ANGLES = 90
-"""Directions of walls that are told apart within a quarter turn: 1°."""
+"""Directions of walls that are distinguished within a quarter turn: 1° each."""
 MOST_POINTS = 3000
-"""Wall cells that are projected: a sample of larger maps tells the same."""
+"""Wall cells that are projected: a sample of larger maps gives the same directions."""
 LEAST_WALLS = 30
-"""A stretch with fewer wall cells shows nothing."""
+"""Least number of wall cells of a stretch."""
 MOST_PLACEMENTS = 8
 """Placements that are registered."""
 SAME_M, SAME_PER_M, SAME_RAD = 3 * PIXEL_M, 0.05, 0.2
-"""Stretches that are placed alike within so much, and per metre between them, support each other:
-3° of drift."""
+"""Largest difference between placements of stretches that support each other, in shift, in shift
+per metre between the stretches (3° of drift), and in rotation."""
 
-KEPT = 256
-"""Maps of which a process remembers what else it has worked out: as many as it has at hand."""
-KEPT_VIEWS = 3000
-"""Views of pictures that are kept, 130 kB each: a tile of tasks has 16 maps a side of some 100
-views, and the next tile shares one of the sides."""
+CACHED_MAPS = 256
+"""Maps whose repeats, revisits and mirror images a process caches: as many as it has prepared."""
+CACHED_VIEWS = 3000
+"""Views of cached pictures, 130 kB each: a tile of tasks has 16 maps a side of about 100 views, and
+the next tile shares one of the sides."""
 
 
 @dataclass(frozen=True, eq=False)
 class Picture:
     """The views of a map, as points in its frame.
 
-    walls, free: of each view, x + iy [m].
+    walls, free: wall cells and free cells of each view, x + iy [m].
     """
 
     views: Views
@@ -78,54 +79,58 @@ class Picture:
 
     @cached_property
     def place(self) -> ComplexArray:
-        """(n,) places of the views."""
+        """(n,) positions of the views, x + iy [m]."""
         return np.asarray(self.pose[:, 0] + 1j * self.pose[:, 1])
 
     @cached_property
+    def arc_m(self) -> FloatArray:
+        """(n,) way from the first view to each [m]."""
+        return np.concatenate([[0.0], np.cumsum(np.abs(np.diff(self.place)))])
+
+    @cached_property
     def nearest(self) -> cKDTree:
-        """For nearest-neighbour search among the places."""
+        """Nearest-neighbour index of the positions."""
         return cKDTree(self.pose[:, :2])
 
     @cached_property
     def directions(self) -> FloatArray:
-        """Directions of all walls (`directions`)."""
+        """(ANGLES,) `directions` of all walls."""
         return directions(np.concatenate(self.walls))
 
     @cached_property
     def local_directions(self) -> FloatArray:
-        """Sum of the directions of the stretches: in `directions` a few long walls outweigh the
-        many that single stretches see."""
+        """(ANGLES,) sum of the directions of the stretches: in `directions` a few long walls
+        outweigh the many short ones of single stretches."""
         return np.asarray(sum((part.directions for part in self.stretches), np.zeros(ANGLES)))
 
     @cached_property
-    def turn(self) -> float:
-        """What turns the map so that its walls lie along the axes [rad]."""
+    def rotation(self) -> float:
+        """The rotation that lays the walls along the axes [rad]."""
         return -float(np.argmax(self.directions)) * np.pi / 2 / ANGLES
 
     @cached_property
     def squares(self) -> list[Square]:
         """The squares that the map is drawn on: one, or as many as have walls."""
-        walls = np.exp(1j * self.turn) * np.concatenate(self.walls)
+        walls = np.exp(1j * self.rotation) * np.concatenate(self.walls)
         low = complex(walls.real.min(), walls.imag.min())
         high = complex(walls.real.max(), walls.imag.max())
-        wide = max((high - low).real, (high - low).imag)
-        size = int((wide + STRETCH_M + 2 * REACH_M) / PIXEL_M) + 4
+        extent = max((high - low).real, (high - low).imag)
+        size = int((extent + STRETCH_M + 2 * REACH_M) / PIXEL_M) + 4
         if size <= MOST_PIXELS:
             size = int(fft.next_fast_len(size, real=True))
-            return [Square((low + high) / 2 * np.exp(-1j * self.turn), size, size)]
+            return [Square((low + high) / 2 * np.exp(-1j * self.rotation), size, size)]
         inner = MOST_PIXELS - int(OVERLAP_M / PIXEL_M)
         step = inner * PIXEL_M
-        # The middle of a stretch lies up to half of it aside of the walls of this map.
+        # The middle of a stretch lies up to half of its length beside the walls of this map.
         around = np.add.outer([-1, 0, 1], np.multiply([-1, 0, 1], 1j)).ravel() * STRETCH_M / 2
-        at = ((walls[:, None] - low + around) / step).ravel()
-        cells = np.unique(np.column_stack([np.floor(at.real), np.floor(at.imag)]), axis=0)
-        middles = low + (cells @ [1, 1j] + 0.5 + 0.5j) * step
-        return [Square(z, MOST_PIXELS, inner) for z in middles * np.exp(-1j * self.turn)]
+        position = ((walls[:, None] - low + around) / step).ravel()
+        cells = np.column_stack([np.floor(position.real), np.floor(position.imag)])
+        middles = low + (np.unique(cells, axis=0) @ [1, 1j] + 0.5 + 0.5j) * step
+        return [Square(z, MOST_PIXELS, inner) for z in middles * np.exp(-1j * self.rotation)]
 
     @property
     def tiles(self) -> Iterable[Tile]:
-        """The map drawn on its squares. Of several, which may be too many to keep, each is drawn
-        when it is taken."""
+        """The map drawn on its squares. Several are drawn one at a time."""
         return (self._whole,) if len(self.squares) == 1 else map(self._tile, self.squares)
 
     @cached_property
@@ -138,27 +143,25 @@ class Picture:
         walls, free = (
             np.concatenate([z[k] for k in rows] or [z[0][:0]]) for z in (self.walls, self.free)
         )
-        drawn = _drawn(walls, free, self.turn, square.middle, square.size)
+        image, fit = _images(walls, free, self.rotation, square.middle, square.size)
         spectra = tuple(
-            (fft.rfft2(np.rot90(drawn[0], quarter)), fft.rfft2(np.rot90(drawn[1], quarter)))
+            (fft.rfft2(np.rot90(image, quarter)), fft.rfft2(np.rot90(fit, quarter)))
             for quarter in range(4)
         )
         return Tile(square, spectra)
 
     @cached_property
     def stretches(self) -> tuple[Stretch, ...]:
-        """Its stretches of way."""
+        """The stretches of its way."""
         return tuple(self._stretches())
 
     def _stretches(self) -> Iterator[Stretch]:
-        way = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(self.place)))])
-        starts = np.arange(0.0, max(way[-1] - STRETCH_M, 0.0) + STEP_M, STEP_M)
-        few = np.linspace(0, len(starts) - 1, min(len(starts), MOST_STRETCHES))
-        for start in starts[np.unique(np.rint(few).astype(np.int64))].tolist():
-            rows = np.flatnonzero((way >= start) & (way <= start + STRETCH_M))
-            # A jump from one view to the next tears a stretch apart.
+        starts = np.arange(0.0, max(self.arc_m[-1] - STRETCH_M, 0.0) + STEP_M, STEP_M)
+        for start in starts[evenly_spread(len(starts), MOST_STRETCHES)].tolist():
+            rows = np.flatnonzero((self.arc_m >= start) & (self.arc_m <= start + STRETCH_M))
             if not len(rows):
                 continue
+            # A jump from one view to the next tears a stretch apart.
             rows = rows[np.abs(self.place[rows] - np.median(self.place[rows])) < STRETCH_M / 2]
             walls = np.concatenate([self.walls[k] for k in rows] or [np.zeros(0, np.complex128)])
             if len(walls) >= LEAST_WALLS:
@@ -169,8 +172,7 @@ class Picture:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stretch:
-    """Walls and free space along a stretch of way around its middle, x + iy [m], and the directions
-    of its walls."""
+    """Walls and free space of a stretch of way, its middle, x + iy [m], and `directions`."""
 
     walls: ComplexArray
     free: ComplexArray
@@ -179,18 +181,24 @@ class Stretch:
 
     @property
     def reach_m(self) -> float:
-        """The distance of the farthest from the middle [m]."""
+        """Distance of the farthest cell from the middle [m]."""
         return max(float(np.abs(z - self.middle).max(initial=0)) for z in (self.walls, self.free))
+
+
+def evenly_spread(count: int, most: int) -> IntArray:
+    """Up to `most` of so many rows, evenly spread."""
+    rows = np.rint(np.linspace(0, count - 1, min(count, most)))
+    return np.unique(rows.astype(np.int64))
 
 
 _pictures: OrderedDict[Views, Picture] = OrderedDict()
 
 
 def pictured(views: Views) -> Picture:
-    """The picture of a map's views; those used last are kept (`KEPT_VIEWS`, but two at least)."""
+    """The picture of a map's views. The last used ones are cached: `CACHED_VIEWS`, but two maps."""
     picture = _pictures.pop(views) if views in _pictures else _pictured(views)
     _pictures[views] = picture
-    while len(_pictures) > 2 and sum(map(len, _pictures)) > KEPT_VIEWS:
+    while len(_pictures) > 2 and sum(map(len, _pictures)) > CACHED_VIEWS:
         _pictures.popitem(last=False)
     return picture
 
@@ -201,42 +209,41 @@ def _pictured(views: Views) -> Picture:
     unit = np.exp(1j * views.pose[:, 2])
     walls, free = [], []
     for k, cells in enumerate(views.cells):
-        walls.append(place[k] + unit[k] * index.points[k, index.there[k]])
+        walls.append(place[k] + unit[k] * index.points[k, index.is_point[k]])
         y, x = np.nonzero(cells[::2, ::2] == FREE)  # every second one, a pixel apart
-        off = (2 * x + 0.5) * CELL_M - REACH_M + 1j * ((2 * y + 0.5) * CELL_M - REACH_M)
-        free.append(place[k] + unit[k] * off)
+        offset = (2 * x + 0.5) * CELL_M - REACH_M + 1j * ((2 * y + 0.5) * CELL_M - REACH_M)
+        free.append(place[k] + unit[k] * offset)
     return Picture(views, index, tuple(walls), tuple(free))
 
 
 def directions(walls: ComplexArray) -> FloatArray:
-    """(ANGLES,) how clearly walls lie along and across each direction of a quarter turn.
+    """(ANGLES,) how clearly walls lie along or across each direction.
 
-    Walls are projected on both axes: where these lie along them, few strips of them, as wide as a
-    cell, hold most cells. 0 for none; means of normals, in comparison, err by 6° where cells lie
-    along other axes.
+    Walls are projected on both axes into strips as wide as a cell: where they lie along the axes,
+    few strips hold most cells. (Averaged normals err by 6° where cells lie along other axes.)
     """
     z = walls[:: -(-len(walls) // MOST_POINTS)] if len(walls) else walls
     if not len(z):
         return np.zeros(ANGLES)
-    turned = np.exp(-0.5j * np.pi * np.arange(ANGLES) / ANGLES)[:, None] * (z - z.mean())
+    rotated = np.exp(-0.5j * np.pi * np.arange(ANGLES) / ANGLES)[:, None] * (z - z.mean())
     strips = int(2 * np.abs(z - z.mean()).max() / CELL_M) + 4
-    out = np.zeros(ANGLES)
-    for across in (turned.real, turned.imag):
+    squares = np.zeros(ANGLES)
+    for across in (rotated.real, rotated.imag):
         strip = (across / CELL_M + strips / 2).astype(np.int64)
         strip += strips * np.arange(ANGLES)[:, None]
-        held = np.bincount(strip.reshape(-1), minlength=strips * ANGLES).reshape(ANGLES, strips)
-        out += (held.astype(np.float64) ** 2).sum(axis=1)
-    return np.maximum(out / np.median(out) - 1.0, 0.0)
+        count = np.bincount(strip.reshape(-1), minlength=strips * ANGLES).reshape(ANGLES, strips)
+        squares += (count.astype(np.float64) ** 2).sum(axis=1)
+    return np.maximum(squares / np.median(squares) - 1.0, 0.0)
 
 
 Spectra = tuple[NDArray[np.complex64], NDArray[np.complex64]]
-"""Fourier transforms of a picture of the walls, and of how well a wall of another map fits."""
+"""Fourier transforms of an image of the walls, and of how well a wall of another map fits."""
 
 
 @dataclass(frozen=True, slots=True)
 class Square:
-    """A square of size × size pixels around `middle`, x + iy [m]. Stretches are looked for whose
-    middles lie within the `inner` × `inner` pixels around its own."""
+    """A square of size × size pixels around `middle`, x + iy [m]. It is searched for stretches
+    whose middles lie within the central inner × inner pixels."""
 
     middle: complex
     size: int
@@ -245,103 +252,106 @@ class Square:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tile:
-    """A map drawn on a square, turned by `Picture.turn`, and from there by 0 to 3 quarter turns,
-    clockwise in the map's frame."""
+    """A map drawn on a square, rotated by `Picture.rotation`, and from there by 0 to 3 quarter
+    turns, clockwise in the map's frame."""
 
     square: Square
     quarters: tuple[Spectra, ...]
 
 
-def _drawn(
-    walls: ComplexArray, free: ComplexArray, turn: float, middle: complex, size: int
+def _images(
+    walls: ComplexArray, free: ComplexArray, rotation: float, middle: complex, size: int
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """(size, size) pictures of walls and free space, x + iy [m], turned [rad] about a middle: the
+    """(size, size) images of walls and free space, x + iy [m], rotated [rad] about a middle: the
     walls, and how well a wall of another map fits."""
-    wall, clear = (_marked(z, turn, middle, size) for z in (walls, free))
+    wall, clear = (_marked(z, rotation, middle, size) for z in (walls, free))
     near = np.minimum(2.5 * ndimage.gaussian_filter(wall, 0.7), 1.0)
     against = clear * (ndimage.maximum_filter(wall, 3) == 0)
     return wall, np.maximum(wall, near) - np.float32(CONTRADICTS) * against
 
 
-def _marked(z: ComplexArray, turn: float, middle: complex, size: int) -> NDArray[np.float32]:
-    out = np.zeros((size, size), np.float32)
-    at = (z - middle) * np.exp(1j * turn) / PIXEL_M + (0.5 + 0.5j) * size
-    x, y = np.floor(at.real).astype(np.int64), np.floor(at.imag).astype(np.int64)
+def _marked(z: ComplexArray, rotation: float, middle: complex, size: int) -> NDArray[np.float32]:
+    """(size, size) 1 at the pixels of points z, rotated about a middle, else 0."""
+    image = np.zeros((size, size), np.float32)
+    pixel = (z - middle) * np.exp(1j * rotation) / PIXEL_M + (0.5 + 0.5j) * size
+    x, y = np.floor(pixel.real).astype(np.int64), np.floor(pixel.imag).astype(np.int64)
     inside = (x >= 0) & (y >= 0) & (x < size) & (y < size)
-    out[y[inside], x[inside]] = 1.0
-    return out
+    image[y[inside], x[inside]] = 1.0
+    return image
 
 
 def placements(a: Picture, b: Picture) -> FloatArray:
     """(p, 3) T_a_b of the most likely placements of b in a, best first, and different from each
     other."""
-    parts = b.stretches if any(map(len, a.walls)) and len(b.pose) else ()
-    cases = [(part, along) for part in parts for along in _turns(a, b, part)]
+    stretches = b.stretches if any(map(len, a.walls)) and len(b.pose) else ()
+    cases = [(stretch, along) for stretch in stretches for along in _rotations(a, b, stretch)]
     if not cases:
         return np.zeros((0, 3))
     peaks: dict[tuple[int, int], list[tuple[float, complex]]] = defaultdict(list)
     for tile in a.tiles:
-        for k, (part, along) in enumerate(cases):
-            for quarter, score, there in _laid_over(tile, part, along + a.turn):
-                shift = there * np.exp(-1j * a.turn)
-                peaks[k, quarter].append((score, tile.square.middle + shift))
+        for k, (stretch, along) in enumerate(cases):
+            for quarter, score, offset in _correlated(tile, stretch, along + a.rotation):
+                middle = tile.square.middle + offset * np.exp(-1j * a.rotation)
+                peaks[k, quarter].append((score, middle))
     turns, middles, shifts, scores = [], [], [], []
     for (k, quarter), found in sorted(peaks.items()):
-        part, along = cases[k]
+        stretch, along = cases[k]
         turn = along + quarter * np.pi / 2
-        for score, there in sorted(found, key=lambda peak: -peak[0])[:PEAKS]:
+        for score, middle in sorted(found, key=lambda peak: -peak[0])[:PEAKS]:
             turns.append(turn)
-            middles.append(part.middle)
-            shifts.append(there - np.exp(1j * turn) * part.middle)
+            middles.append(stretch.middle)
+            shifts.append(middle - np.exp(1j * turn) * stretch.middle)
             scores.append(max(score, 0.0))
-    return _agreeing(*map(np.array, (turns, shifts, middles, scores)))
+    return _supported(*map(np.array, (turns, shifts, middles, scores)))
 
 
-def _laid_over(tile: Tile, part: Stretch, turn: float) -> Iterator[tuple[int, float, complex]]:
-    """The best places of a stretch, turned, in a tile: by how many quarter turns more, how well its
-    walls fit, and where its middle lies from the tile's, x + iy [m]."""
+def _correlated(
+    tile: Tile, stretch: Stretch, rotation: float
+) -> Iterator[tuple[int, float, complex]]:
+    """The best placements of a stretch in a tile, at a rotation [rad] and its quarter turns: number
+    of quarter turns, score of the fit, and offset of the middles, x + iy [m]."""
     square = tile.square
-    whole = (square.size, square.size)
+    shape = (square.size, square.size)
     # Drawn on a square as small as the stretch, with a rim for the filters, as if cut from the
     # middle of one as large as the tile.
-    side = min(2 * int(part.reach_m / PIXEL_M) + 10 + square.size % 2, square.size)
+    side = min(2 * int(stretch.reach_m / PIXEL_M) + 10 + square.size % 2, square.size)
     rim = (square.size - side) // 2
-    drawn = _drawn(part.walls, part.free, turn, part.middle, side)
-    count = int(drawn[0].sum())
-    walls, fit = (np.conj(fft.rfft2(picture, whole)) for picture in drawn)
+    images = _images(stretch.walls, stretch.free, rotation, stretch.middle, side)
+    count = int(images[0].sum())
+    walls, fit = (np.conj(fft.rfft2(image, shape)) for image in images)
     pixel = _signed(np.arange(square.size) - rim, square.size)
     outside = np.abs(pixel) > square.inner // 2
     for quarter, (tile_walls, tile_fit) in enumerate(tile.quarters):
-        score = fft.irfft2(tile_fit * walls + tile_walls * fit, whole, overwrite_x=True)
+        score = fft.irfft2(tile_fit * walls + tile_walls * fit, shape, overwrite_x=True)
         score[outside] = score[:, outside] = -np.inf
         for y, x, most in _peaks(score):
-            # More walls tell more, but a large stretch is no better placed than others.
-            fits = most / (2 * count) * min(count, 400)
-            yield quarter, fits, 1j**quarter * complex(pixel[x], pixel[y]) * PIXEL_M
+            # The mean fit, weighted by the number of walls up to 400.
+            weighted = most / (2 * count) * min(count, 400)
+            yield quarter, weighted, 1j**quarter * complex(pixel[x], pixel[y]) * PIXEL_M
 
 
-def _turns(a: Picture, b: Picture, part: Stretch) -> list[float]:
-    """The turns within a quarter that may lay the walls of a stretch of b along those of a [rad]:
-    by its own directions, and by those of all stretches, if that differs.
+def _rotations(a: Picture, b: Picture, stretch: Stretch) -> list[float]:
+    """The rotations within a quarter turn that may lay the walls of a stretch of b along those of a
+    [rad]: by its own directions, and by those of all stretches, if that differs.
 
     Furniture, and wings at an angle, mislead the former, drift the latter. Of 61 saved maps,
     turned, cropped or furnished, 59 are placed right by one of the placements with the former
     alone, 61 with both.
     """
-    own = _turn(a.directions, part.directions)
-    usual = _turn(a.local_directions, b.local_directions)
-    differ = abs(float(wrap(4 * (own - usual)))) / 4 > SAME_RAD / 2
-    return [own, usual] if differ else [own]
+    by_stretch = _rotation(a.directions, stretch.directions)
+    by_all = _rotation(a.local_directions, b.local_directions)
+    differ = abs(float(wrap(4 * (by_stretch - by_all)))) / 4 > SAME_RAD / 2
+    return [by_stretch, by_all] if differ else [by_stretch]
 
 
-def _turn(one: FloatArray, two: FloatArray) -> float:
-    """The turn within a quarter that lays the walls of two along those of one [rad]."""
-    both = fft.irfft(fft.rfft(one) * np.conj(fft.rfft(two)), ANGLES)
-    return float(np.argmax(both)) * np.pi / 2 / ANGLES
+def _rotation(directions_a: FloatArray, directions_b: FloatArray) -> float:
+    """The rotation within a quarter turn that lays the walls of b along those of a [rad]."""
+    correlation = fft.irfft(fft.rfft(directions_a) * np.conj(fft.rfft(directions_b)), ANGLES)
+    return float(np.argmax(correlation)) * np.pi / 2 / ANGLES
 
 
 def _peaks(score: NDArray[np.float32]) -> Iterator[tuple[int, int, float]]:
-    """The best pixels of a picture, apart from each other; it is used up."""
+    """Row, column and value of the `PEAKS` best pixels, not adjacent; overwrites `score`."""
     size, around = len(score), np.arange(-4, 5)
     for _ in range(PEAKS):
         y, x = divmod(int(score.argmax()), size)
@@ -350,32 +360,36 @@ def _peaks(score: NDArray[np.float32]) -> Iterator[tuple[int, int, float]]:
 
 
 def _signed(pixel: IntArray, size: int) -> IntArray:
+    """Cyclic shifts as shifts between -size / 2 and size / 2."""
     return (pixel + size // 2) % size - size // 2
 
 
-def _agreeing(
+def _supported(
     turn: FloatArray, shift: ComplexArray, middle: ComplexArray, score: FloatArray
 ) -> FloatArray:
-    """(p, 3) the placements that most stretches support: each counts once, by its best. Those of
-    one stretch, by its middle, follow each other."""
+    """(p, 3) the placements that most stretches support, best first and different from each other.
+
+    turn, shift, score: (k,) placements of single stretches; middle: (k,) of the stretch of each,
+    equal for consecutive rows. A stretch supports a placement once, by its own best one near it.
+    """
     unit = np.exp(1j * turn)
-    there = unit[:, None] * middle  # of every placement (row), where it turns every stretch to
-    gap = np.abs(np.diag(there) + shift - there - shift[:, None])
+    rotated = unit[:, None] * middle  # the middle of every stretch, by every placement (row)
+    gap = np.abs(np.diag(rotated) + shift - rotated - shift[:, None])
     alike = gap < SAME_M + SAME_PER_M * np.abs(middle - middle[:, None])
     alike &= np.abs(wrap(turn - turn[:, None])) < SAME_RAD
     begins = np.flatnonzero(np.diff(middle, prepend=np.nan))
     support = np.maximum.reduceat(np.where(alike, score, 0.0), begins, axis=1).sum(axis=1)
-    out: list[int] = []
+    chosen: list[int] = []
     for k in np.lexsort((shift.imag, shift.real, turn, -support)).tolist():
-        here = unit[k] * middle[k] + shift[k]
+        placed = unit[k] * middle[k] + shift[k]
         apart = (
-            abs(here - unit[o] * middle[k] - shift[o]) > MATCH.place_m
-            or abs(float(wrap(turn[k] - turn[o]))) > MATCH.turn_rad
-            for o in out
+            abs(placed - unit[other] * middle[k] - shift[other]) > MATCH.place_m
+            or abs(float(wrap(turn[k] - turn[other]))) > MATCH.turn_rad
+            for other in chosen
         )
         if all(apart):
-            out.append(k)
-        if len(out) == MOST_PLACEMENTS:
+            chosen.append(k)
+        if len(chosen) == MOST_PLACEMENTS:
             break
-    rows: IntArray = np.array(out, np.int64)
+    rows: IntArray = np.array(chosen, np.int64)
     return np.stack([shift[rows].real, shift[rows].imag, wrap(turn[rows])], axis=1)

@@ -10,8 +10,7 @@ from .verdict import Assessment
 
 
 def describe_match(best: Candidate, bits: float, need_bits: float, margin: float | None) -> str:
-    """What agrees, what contradicts, the evidence, and how far the next alignment is behind or
-    ahead."""
+    """An alignment in words: agreement, contradictions, evidence, and the lead over the next."""
     agree = describe_agreement(len(best), len(best.corridors), best.views.agreeing)
     against = len(best.conflicts)
     contradicted = f"{against} {'contradicts' if against == 1 else 'contradict'}"
@@ -28,13 +27,16 @@ def describe_match(best: Candidate, bits: float, need_bits: float, margin: float
     return f"{text}; next best alignment {bits_apart} bits behind"
 
 
-def describe_evidence(found: Assessment) -> str:
-    """What the evidence of two maps comes to; where nothing is beyond chance, why they are
-    unrelated."""
-    if found.best is not None:
-        return describe_match(found.best, found.bits, found.need_bits, found.margin)
-    if found.faint is None:
+def describe_evidence(assessment: Assessment) -> str:
+    """The evidence of two maps in words: the best alignment, or the best one within chance."""
+    if assessment.best is not None:
+        return describe_match(
+            assessment.best, assessment.bits, assessment.need_bits, assessment.margin
+        )
+    faint = assessment.faint
+    if faint is None:
         return "no significant match: no alignment holds"
-    junctions = found.faint.junctions
-    agree = f"{counted(junctions, 'junction')} {'agrees' if junctions == 1 else 'agree'}"
-    return f"no significant match: {agree}, {describe_bits(found.faint.bits, found.need_bits)}"
+    agree = (
+        f"{counted(faint.junctions, 'junction')} {'agrees' if faint.junctions == 1 else 'agree'}"
+    )
+    return f"no significant match: {agree}, {describe_bits(faint.bits, assessment.need_bits)}"

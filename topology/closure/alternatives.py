@@ -1,10 +1,10 @@
-"""Closing a run again where its map lies over itself, and which closure stands.
+"""Alternative closures of a run whose map lies over itself, and the choice among them.
 
-Identifications are made one after the other. A wrong one, or a grid that is none, leads later ones
-astray, and not all of them are taken back: streets then stand twice, one across the other. Closed
-loops tell the noise of the run better than was known before. With it the run is closed again, by
-the same odds, by stricter ones, and without a grid; of all these closures the one that explains the
-run best stands (`log_marginal_likelihood`).
+Identifications are made one after the other. A wrong one, or a grid that the building does not
+have, causes more wrong ones, and not all of them are taken back. Streets are then in the map twice,
+one across the other. Closed loops give a better estimate of the run's noise. With it the run is
+closed again, by the same odds, by stricter ones, and without a grid. The closure with the largest
+marginal likelihood is chosen (`log_marginal_likelihood`).
 """
 
 from __future__ import annotations
@@ -23,25 +23,20 @@ from .incremental import ROUNDS, Closed, closure_without_grid, full_closure, map
 from .variance_components import PRIOR
 
 _STRIP = 256
-"""Corridors that are compared with all others at once, to bound memory."""
+"""Corridors that are compared with all others at a time, to bound memory."""
 
 _LN_2PI = float(np.log(2 * np.pi))
 
 _ZERO = 1e-13
-"""A factor measures nothing along eigenvectors of its information below this share of the largest
-eigenvalue: rounding leaves less, and positions to 1 km beside headings to 1 mrad have 1e-12."""
+"""Eigenvalues of an information matrix below this share of the largest one are rounding errors:
+positions to 1 km beside headings to 1 mrad have 1e-12."""
 
 
-def most_likely_closure(
-    reckoning: DeadReckoning,
-    first: Closed,
-    fitted: DeadReckoning,
-) -> Closed:
-    """The closure that explains the run best: `first`, unless many corridors of its map cross and
-    another one leads by the odds that identifications need by stricter rules, on a map that does
-    not repeat itself.
+def most_likely_closure(reckoning: DeadReckoning, first: Closed, fitted: DeadReckoning) -> Closed:
+    """The most likely closure: `first`, unless many corridors of its map cross and an alternative
+    leads by the odds that stricter identifications need, with a map that does not repeat itself.
 
-    reckoning: with the noise known before closure; fitted: with that shown by `first`.
+    reckoning: with the noise before closure; fitted: with the noise estimated from `first`.
     """
     if crossing_share(first) < ROUNDS.most_crossing:
         return first
@@ -57,20 +52,18 @@ def most_likely_closure(
             best, best_odds = other, odds
     if best is first:
         return first
-    # Matching counts with the noise known before closure, as after any other closure.
+    # Matching uses the noise before closure, as after any other closure.
     return replace(best, reckoning=scale_noise(reckoning, ROUNDS.caution))
 
 
 def _repeats(closed: Closed) -> bool:
-    """Whether a map repeats itself: then a closure one step of its pattern off explains the run as
-    well, and is not among those compared."""
+    """Whether a map repeats itself: a closure one lattice step off would explain the run, too."""
     state = map_state(closed.reckoning, closed.place, closed.estimate)
     return state.common.lattice.repeats
 
 
 def _log_likelihood(fitted: DeadReckoning, closed: Closed) -> float:
-    """Log marginal likelihood of a closure's places, all with one noise and without a grid, which
-    not all of them have."""
+    """Log marginal likelihood of a closure's places, with the same noise for all and no grid."""
     estimate = optimise(fitted, closed.place, closed.estimate.pose)
     density = background(fitted, fitted.noise).density
     return log_marginal_likelihood(estimate, density)
@@ -93,42 +86,43 @@ def log_marginal_likelihood(estimate: Estimate, density: float) -> float:
     """
     solution = estimate.solution
     factor = Marginals.of(estimate.graph, solution).factor
-    measured, numbers = _log_density_of_no_error(estimate.graph.information)
+    of_measurements, measured_count = _log_density_of_no_error(estimate.graph.information)
     unknowns = factor.pattern.size
-    stated = PRIOR.freedom
-    freedom = numbers - unknowns + stated
-    level = (solution.cost + stated) / freedom
-    anywhere = len(estimate.xy) * (np.log(density) - ANYWHERE)
-    integral = -0.5 * (factor.log_determinant() - unknowns * _LN_2PI)
-    return float(anywhere + measured + integral - 0.5 * freedom * (np.log(level) + 1.0))
+    prior_freedom = PRIOR.freedom
+    freedom = measured_count - unknowns + prior_freedom
+    noise_level = (solution.cost + prior_freedom) / freedom
+    of_places = len(estimate.xy) * (np.log(density) - ANYWHERE)
+    of_positions = -0.5 * (factor.log_determinant() - unknowns * _LN_2PI)
+    return float(
+        of_places + of_measurements + of_positions - 0.5 * freedom * (np.log(noise_level) + 1.0)
+    )
 
 
 def _log_density_of_no_error(information: FloatArray) -> tuple[float, int]:
-    """½ Σ ln |Ω / 2π| of information matrices Ω (m, 3, 3), and how many numbers they measure."""
+    """½ Σ ln |Ω / 2π| of information matrices Ω (m, 3, 3), and the sum of their ranks."""
     values = np.linalg.eigvalsh(information)
     measured_values = values[values > _ZERO * values[:, -1:]]
     return 0.5 * float((np.log(measured_values) - _LN_2PI).sum()), len(measured_values)
 
 
 def crossing_share(closed: Closed) -> float:
-    """How many corridors between different places cross each other as the crow flies, beside the
-    number of corridors: many in a map that lies over itself. O(corridors²)."""
+    """Number of crossings of chords of corridors, per corridor between different places: large in a
+    map that lies over itself. O(corridors²)."""
     legs = np.flatnonzero(np.isfinite(closed.reckoning.leg))
     ends = np.sort(np.stack([closed.place[legs], closed.place[legs + 1]], axis=1), axis=1)
     ends = np.unique(ends[ends[:, 0] != ends[:, 1]], axis=0)
     a, b = closed.estimate.xy[ends.T]
-    both_ways = 0
+    crossings = 0
     for begin in range(0, len(ends), _STRIP):
-        some = slice(begin, begin + _STRIP)
-        p, q = a[some, None], b[some, None]
+        strip = slice(begin, begin + _STRIP)
+        p, q = a[strip, None], b[strip, None]
         crossing = (_side(p, q, a) * _side(p, q, b) < 0) & (_side(a, b, p) * _side(a, b, q) < 0)
-        apart = (ends[some, None, :, None] != ends[None, :, None, :]).all(axis=(2, 3))
-        both_ways += int(np.count_nonzero(crossing & apart))
-    return both_ways / 2 / max(len(ends), 1)
+        share_no_place = (ends[strip, None, :, None] != ends[None, :, None, :]).all(axis=(2, 3))
+        crossings += int(np.count_nonzero(crossing & share_no_place))
+    return crossings / 2 / max(len(ends), 1)
 
 
 def _side(a: FloatArray, b: FloatArray, p: FloatArray) -> FloatArray:
     """Positive where points p lie to the left of the lines from a to b, negative to the right."""
     u, v = b - a, p - a
-    out: FloatArray = u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0]
-    return out
+    return np.asarray(u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0])

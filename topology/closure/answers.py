@@ -1,4 +1,4 @@
-"""The answers of loop closure to each question, by round."""
+"""Identifications of passes that loop closure accepted or refused, by round."""
 
 from __future__ import annotations
 
@@ -17,12 +17,11 @@ TORN = "taken back: a pass was torn away"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Identification:
-    """The question whether passes `first` and `second` were by one place, and its answer.
+    """The identification of passes `first` and `second` as by one place, accepted or refused.
 
-    bits: evidence for it; turn_rad: rotation of the branches of `second`, in addition to the
-    estimate at that time, at which they meet those of `first` [rad]; round: in which it was
-    answered, from 1 on, 0 if not by rounds; accepted_round: the round in which it had been
-    accepted, if this takes it back.
+    bits: evidence for it; turn_rad: rotation that aligns the branches of `second` with those of
+    `first`, in addition to the estimate of that round [rad]; round: in which it was decided, from 1
+    on, 0 if not by rounds; accepted_round: if taken back.
     """
 
     first: int
@@ -38,8 +37,7 @@ class Identification:
 def explained(
     doubts: dict[tuple[int, int], Identification], reasons: dict[tuple[int, int], str]
 ) -> dict[tuple[int, int], Identification]:
-    """The doubts with the reason "not sure enough" for which `reasons` has a more specific one,
-    with that."""
+    """The doubts that are "not sure enough", with the more specific reasons in `reasons`."""
     return {
         pair: replace(doubts[pair], reason=reason)
         for pair, reason in reasons.items()
@@ -55,7 +53,7 @@ def taken_back(q: Identification, number: int) -> Identification:
 def standing_doubts(
     place: IntArray, doubts: dict[tuple[int, int], Identification]
 ) -> list[Identification]:
-    """Refusals that still concern two places: the latest per pair of places, sorted."""
+    """Refusals that still concern two different places: the latest per pair of places, sorted."""
     latest: dict[tuple[int, int], Identification] = {}
     for (i, j), q in doubts.items():
         a, b = sorted((int(place[i]), int(place[j])))

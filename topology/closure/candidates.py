@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from ..arrays import BoolArray, FloatArray, IntArray
@@ -16,12 +14,7 @@ from ..se2 import turned_axes
 from .branches import align
 from .dead_reckoning import dead_reckoning_covariance
 from .estimate import Estimate
-from .evidence import (
-    EVIDENCE,
-    Background,
-    among_neighbours,
-    position_odds,
-)
+from .evidence import EVIDENCE, Background, among_neighbours, position_odds
 from .growth import MapState, grow
 from .negative_information import DrivenGround, driven_ground
 from .places import HOPS, Places
@@ -37,8 +30,7 @@ class CandidateSettings:
     most_tabled: int = 1_000_000
     """Pairs of places in one table: about 200 MB."""
     most_strangers: int = 3000
-    """Size of the sample of null pairs: estimates a tail probability of 1/100 to a fifth of
-    itself."""
+    """Size of the sample of null pairs: it estimates a tail probability of 1/100 to a fifth."""
 
 
 CANDIDATES = CandidateSettings()
@@ -46,11 +38,11 @@ CANDIDATES = CandidateSettings()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Surroundings:
-    """Evidence [nats] that k pairs of places are one each, by what is around them.
+    """Evidence [nats] that k pairs of places are one each, by their branches and corridors.
 
-    branches: (k,) log odds of their branches; support, conflict: (k,) by the corridors around that
-    agree and that disagree, both positive; turn: (k,) to be added to the branches of the second
-    place to meet those of the first [rad].
+    branches: (k,) log odds; support, conflict: (k,) by the corridors around that agree and that
+    disagree, both positive; turn: (k,) rotation of the branches of the second place that aligns
+    them with those of the first [rad].
     """
 
     branches: FloatArray
@@ -58,14 +50,10 @@ class Surroundings:
     conflict: FloatArray
     turn: FloatArray
 
-    def __getitem__(self, rows: NDArray[Any]) -> Surroundings:
-        return take(self, rows)
-
     @property
     def odds(self) -> FloatArray:
         """(k,) all of it [nats]."""
-        out: FloatArray = self.branches + self.support - self.conflict
-        return out
+        return np.asarray(self.branches + self.support - self.conflict)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,12 +66,11 @@ class Candidates:
     position: FloatArray
     around: Surroundings
     aliasing_penalty: FloatArray
-    """Deducted because null pairs look as much alike."""
+    """Deducted because null pairs have as much evidence."""
     ground: DrivenGround
     fits: BoolArray
-    """Whether their distance passes the gate. The others are nearer to each other than two
-    junctions usually are; they are not identified, but do not rule out other identifications
-    either."""
+    """Whether their distance passes the gate. The others are not identified. They are nearer to
+    each other than two junctions usually are, so that they exclude no other identification."""
 
     def __len__(self) -> int:
         return len(self.a)
@@ -91,14 +78,12 @@ class Candidates:
     @property
     def alike(self) -> FloatArray:
         """(k,) all evidence but that of position [nats]."""
-        out: FloatArray = self.around.odds - self.aliasing_penalty
-        return out
+        return np.asarray(self.around.odds - self.aliasing_penalty)
 
     @property
     def total(self) -> FloatArray:
         """(k,) all evidence [nats]."""
-        out: FloatArray = self.position + self.alike
-        return out
+        return np.asarray(self.position + self.alike)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -116,36 +101,29 @@ class _Pairs:
 
     def shift_covariance(self, common: Background) -> FloatArray:
         """(k, 2, 2) covariance of the shift, including the noise of both centres."""
-        out: FloatArray = self.cov[:, :2, :2] + 2 * common.centre_sigma**2 * np.eye(2)
-        return out
+        return np.asarray(self.cov[:, :2, :2] + 2 * common.centre_sigma**2 * np.eye(2))
 
 
-def candidates(
-    state: MapState,
-    place: IntArray,
-    estimate: Estimate,
-    *,
-    exact: bool,
-) -> Candidates:
+def candidates(state: MapState, place: IntArray, estimate: Estimate, *, exact: bool) -> Candidates:
     """All pairs of places that position and branches allow, with the terms of their evidence.
 
-    Dead reckoning bounds the covariances first. The pairs that it does not exclude get those of the
-    solved pose graph if `exact`; otherwise the bounds are used in their place.
+    Dead reckoning bounds the covariances first. If `exact`, the pairs that it does not exclude get
+    the covariances of the solved pose graph instead of the bounds.
     """
     common = state.common
-    pairs = _known_apart(state, place, estimate)
+    pairs = _possible_pairs(state, place, estimate)
     null_pairs = _null_pairs(state, pairs)
-    spread = pairs.cov[:, 0, 0] + pairs.cov[:, 1, 1] + 4 * common.centre_sigma**2
-    pairs = take(pairs, (pairs.shift**2).sum(axis=1) < LIKELIHOOD.gate_chi2(2) * spread)
-    pairs = _nearest(pairs, CANDIDATES.most_pairs * len(state.places))
+    trace = pairs.cov[:, 0, 0] + pairs.cov[:, 1, 1] + 4 * common.centre_sigma**2
+    pairs = take(pairs, (pairs.shift**2).sum(axis=1) < LIKELIHOOD.gate_chi2(2) * trace)
+    pairs = _nearest_pairs(pairs, CANDIDATES.most_pairs * len(state.places))
     if exact:
         pairs = replace(pairs, cov=_exact_covariance(estimate, pairs.a, pairs.b))
     # Without exact covariances only clear cases are kept: they make the others easier.
     least = -np.inf if exact else 0.0
     odds, d2 = position_odds(common, pairs.shift, pairs.shift_covariance(common))
     fits = d2 < LIKELIHOOD.gate_chi2(2)
-    fine = odds > np.where(fits, least, 0.0)
-    pairs, fits = take(pairs, fine), fits[fine]
+    possible = odds > np.where(fits, least, 0.0)
+    pairs, fits = take(pairs, possible), fits[possible]
     cov = pairs.shift_covariance(common)
     ground = driven_ground(state.places, state.xy, pairs.a, pairs.b, common.reach_m)
     odds, _ = position_odds(common, pairs.shift, cov, ground)
@@ -154,12 +132,12 @@ def candidates(
     slack = EVIDENCE.lead if common.lattice.repeats else 0.0
     penalty = np.maximum(around.odds - calibrated_odds(around.odds, null_pairs, slack), 0.0)
     found = Candidates(pairs.a, pairs.b, odds, around, penalty, ground, fits)
-    # Branches that no rotation within reach aligns are those of two places.
+    # Without a rotation within reach that aligns their branches, two places are different.
     return take(found, (odds > least) & (around.branches > -np.inf))
 
 
-def _known_apart(state: MapState, place: IntArray, estimate: Estimate) -> _Pairs:
-    """Pairs of places within reach, in one piece of odometry, with bounds of their covariance.
+def _possible_pairs(state: MapState, place: IntArray, estimate: Estimate) -> _Pairs:
+    """Pairs of places within reach, in one piece of odometry, with bounds of covariances.
 
     Pairs excluded by dead reckoning alone stay excluded: closures only reduce the uncertainty.
     """
@@ -171,61 +149,58 @@ def _known_apart(state: MapState, place: IntArray, estimate: Estimate) -> _Pairs
     a, b = a[same], b[same]
     i, j = i[same], j[same]
     turn = 0.5 * (estimate.pose[i, 2] + estimate.pose[j, 2])
-    cov = _turned(dead_reckoning_covariance(reckoning, i, j), turn)
+    cov = _rotated(dead_reckoning_covariance(reckoning, i, j), turn)
     return _Pairs(a, b, estimate.xy[a] - estimate.xy[b], cov)
 
 
 def _null_pairs(state: MapState, pairs: _Pairs) -> FloatArray:
-    """(m,) ascending: log odds by their surroundings of null pairs, i.e. pairs that position
-    excludes.
+    """(m,) log odds of null pairs by their surroundings, ascending. Null pairs are those that
+    position excludes.
 
-    In rows of corridors of equal length, different places look alike more often than independent
-    lengths would make them: this measures how often in this run.
+    In rows of corridors of equal length, different places are more similar than with independent
+    lengths: null pairs measure by how much in this run.
     """
     _, d2 = position_odds(state.common, pairs.shift, pairs.shift_covariance(state.common))
     apart = np.hypot(*pairs.shift.T) > state.common.core_m
     rows = np.flatnonzero((d2 > LIKELIHOOD.gate_chi2(2)) & apart)
-    aside = state.common.lattice.is_step(pairs.shift[rows])
-    if aside.sum() >= np.exp(EVIDENCE.lead):
-        # The places that could be confused lie one lattice step off; so many of these pairs
+    is_step = state.common.lattice.is_step(pairs.shift[rows])
+    if is_step.sum() >= np.exp(EVIDENCE.lead):
+        # Places one lattice step apart are the ones that could be confused. So many of them
         # suffice for odds of `lead`.
-        rows = rows[aside]
+        rows = rows[is_step]
     rows = rows[:: -(-len(rows) // CANDIDATES.most_strangers) or 1]
     return np.sort(_surroundings(state, take(pairs, rows)).odds)
 
 
-def calibrated_odds(alike: FloatArray, null_pairs: FloatArray, slack: float = 0.0) -> FloatArray:
-    """(k,) log odds [nats] of the likeness `alike`, calibrated on null pairs.
+def calibrated_odds(around: FloatArray, null_pairs: FloatArray, slack: float = 0.0) -> FloatArray:
+    """(k,) log odds [nats] of the surroundings, calibrated on null pairs.
 
-    null_pairs: (m,) ascending likeness of pairs of different places. A likeness that a share q of
-    them reaches is worth -ln q; beyond the largest of them the odds grow as the model says. slack:
-    where the map repeats itself, true pairs are as rare as null pairs, so that the rank among the
-    null pairs is worth at most one nat more than the share of null pairs less than `slack` below.
+    around: (k,) log odds by the model; null_pairs: (m,) those of pairs of different places,
+    ascending. Odds that a share q of null pairs reaches become -ln q; beyond all null pairs they
+    grow as in the model. slack: where the map repeats itself, true pairs are as rare as null pairs.
+    Then -ln q is at most one nat more than with the null pairs up to `slack` below.
     """
     if len(null_pairs) == 0:
-        return alike
-    as_much = len(null_pairs) - np.searchsorted(null_pairs, alike)
-    nearly = len(null_pairs) - np.searchsorted(null_pairs, alike - slack)
-    share = np.maximum(np.log1p(as_much), np.log1p(nearly) - 1.0)
-    beyond = np.maximum(alike - null_pairs[-1], 0.0)
-    out: FloatArray = np.log1p(len(null_pairs)) - share + beyond
-    return out
+        return around
+    at_least = len(null_pairs) - np.searchsorted(null_pairs, around)
+    within_slack = len(null_pairs) - np.searchsorted(null_pairs, around - slack)
+    share = np.maximum(np.log1p(at_least), np.log1p(within_slack) - 1.0)
+    beyond = np.maximum(around - null_pairs[-1], 0.0)
+    return np.asarray(np.log1p(len(null_pairs)) - share + beyond)
 
 
 def pairs_within(xy: FloatArray, reach_m: float, most: int) -> IntArray:
-    """(k, 2) pairs a < b of points within `reach_m`, sorted; within less if these are more than
-    `most`."""
+    """(k, 2) pairs a < b of points within `reach_m`, or less if more than `most`; sorted."""
     tree = cKDTree(xy)
     while (count := int(tree.count_neighbors(tree, reach_m))) > 2 * most + len(xy):
         # The number of pairs (here both directions) grows with the square of the reach.
         reach_m *= float(np.sqrt(most / count))
     pairs = tree.query_pairs(reach_m, output_type="ndarray").astype(np.int64)
-    out: IntArray = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
-    return out
+    return np.asarray(pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))])
 
 
-def _nearest(pairs: _Pairs, most: int) -> _Pairs:
-    """The `most` pairs with the smallest shifts; the others are considered in later rounds."""
+def _nearest_pairs(pairs: _Pairs, most: int) -> _Pairs:
+    """The `most` pairs with the smallest shifts; the others are left to later rounds."""
     if len(pairs) <= most:
         return pairs
     near = np.argsort((pairs.shift**2).sum(axis=1), kind="stable")[:most]
@@ -244,13 +219,13 @@ def _surroundings(state: MapState, pairs: _Pairs) -> Surroundings:
 def _nearest_in_time(
     places: Places, place: IntArray, a: IntArray, b: IntArray
 ) -> tuple[IntArray, IntArray]:
-    """A pass of each of two places, close in time: the first of the later place, and the last one
-    before it of the other."""
-    early, late = np.where(places.first[a] < places.first[b], [a, b], [b, a])
+    """A pass of each of two places, close in time: the first of the later place, and the last
+    before it."""
+    earlier, later = np.where(places.first[a] < places.first[b], [a, b], [b, a])
     count = len(place)
-    key = np.sort(place * count + np.arange(count))
-    j = places.first[late]
-    i = key[np.searchsorted(key, early * count + j) - 1] % count
+    pass_of_place = np.sort(place * count + np.arange(count))
+    j = places.first[later]
+    i = pass_of_place[np.searchsorted(pass_of_place, earlier * count + j) - 1] % count
     return i, j
 
 
@@ -260,11 +235,10 @@ def _exact_covariance(estimate: Estimate, a: IntArray, b: IntArray) -> FloatArra
         return np.zeros((0, 3, 3))
     na, nb = estimate.node[a], estimate.node[b]
     cov = estimate.relative_covariance(na, nb)
-    return _turned(cov, estimate.solution.pose[na, 2])
+    return _rotated(cov, estimate.solution.pose[na, 2])
 
 
-def _turned(cov: FloatArray, turn: FloatArray) -> FloatArray:
+def _rotated(cov: FloatArray, turn: FloatArray) -> FloatArray:
     """Covariances (k, 3, 3) of x, y and heading in axes rotated by `turn` (k,) [rad]."""
     R = turned_axes(turn)
-    out: FloatArray = R @ cov @ R.transpose(0, 2, 1)
-    return out
+    return np.asarray(R @ cov @ R.transpose(0, 2, 1))

@@ -1,4 +1,4 @@
-"""Uncertainty of the places of a closed estimate: samples of their joint error."""
+"""Uncertainty of the places of a closed run: samples of their joint error."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from .manhattan import GridHeadings
 
 @dataclass(frozen=True, slots=True)
 class CertaintySettings:
-    """How uncertainty is sampled, and how much of a centre's error all passes share."""
+    """The number of samples, and the error of a centre that all passes share."""
 
     samples: int = 256
     """Standard error of a sigma: 1 / √(2 · 256) = 4 %, which costs its coverage a point or less."""
@@ -39,7 +39,7 @@ def place_errors(
     *,
     shared_m: FloatArray | None = None,
 ) -> VertexErrors:
-    """Errors of the places `kept` of an estimate, given the noise that it was optimised with.
+    """Errors of the places `kept` of an estimate, by the noise that it was optimised with.
 
     Sampled from the posterior of the pose graph, plus the errors that the graph does not contain:
     the detection error of places with a single pass, the scale error of the odometry, common to all
@@ -57,41 +57,41 @@ def place_errors(
         """(*shape, count) independent normal errors of unit variance."""
         return of_unit_variance(rng.standard_normal((*shape, count)))
 
-    alone = node < len(reckoning)
-    error[alone, :2] += reckoning.noise.centre_m * drawn(int(alone.sum()), 2)
+    single = node < len(reckoning)
+    error[single, :2] += reckoning.noise.centre_m * drawn(int(single.sum()), 2)
     position = sampled.pose[node, :2]
     scale = reckoning.noise.scale * drawn()
     if len(kept):
         error[:, :2] += (position - position.mean(axis=0))[:, :, None] * scale
     if shared_m is not None:
-        alike = _means(shared_m, place)[kept]
-        error[:, :2] += alike[:, None, None] * drawn(len(kept), 2)
-    own = np.zeros(len(kept))
+        shared_error = _means(shared_m, place)[kept]
+        error[:, :2] += shared_error[:, None, None] * drawn(len(kept), 2)
+    own_share = np.zeros(len(kept))
     if grid is not None:
         # The grid determines the rotation at a pass from the mean of its branches, up to their
         # reading errors and the deviation of corridors from the grid.
         branches = np.maximum(reckoning.passes.branches.counts, 1)
-        read = reckoning.noise.branch_rad**2 / np.mean(branches)
-        own[:] = read / (read + grid.spread_rad**2)
-    return VertexErrors(error, own)
+        reading_variance = reckoning.noise.branch_rad**2 / np.mean(branches)
+        own_share[:] = reading_variance / (reading_variance + grid.spread_rad**2)
+    return VertexErrors(error, own_share)
 
 
 def seen_alike(open_m: FloatArray, noise: RunNoise) -> FloatArray:
     """(p,) 1 sigma per axis [m] of the error that all passes by a place have in common.
 
-    open_m: (p,) 1 sigma per axis [m] of all that the walls leave undetermined at each pass, from
-    which the scatter between passes is subtracted.
+    open_m: (p,) 1 sigma per axis [m] of the centre by the walls at each pass, which includes the
+    scatter between passes.
     """
-    least = np.sqrt(CERTAINTY.least_shared) * open_m
-    return np.asarray(np.sqrt(np.maximum(open_m**2 - noise.centre_m**2, least**2)))
+    least_m = np.sqrt(CERTAINTY.least_shared) * open_m
+    return np.asarray(np.sqrt(np.maximum(open_m**2 - noise.centre_m**2, least_m**2)))
 
 
 def _means(values: FloatArray, place: IntArray) -> FloatArray:
     """(n, …) mean over the passes by each place of values (p, …).
 
-    Used for errors of the rotation, because branches are drawn with the mean rotation of their
-    passes. The place's own node in the pose graph also contains the reading errors of the branches,
-    which `branch_sigma` adds itself.
+    Used for errors of the rotation: maps rotate branches by the mean rotation of their passes. The
+    rotation of the place's node in the pose graph also contains the reading errors of the branches,
+    which `branch_sigma` adds by itself.
     """
     row = np.flatnonzero(place >= 0)
     size = (int(place.max(initial=-1)) + 1, len(place))

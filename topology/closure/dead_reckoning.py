@@ -67,8 +67,7 @@ class DeadReckoning:
     the place to where the robot came from and went to, NaN where unknown. aside: (p,) distance at
     which the robot passed the place [m]. sums: (p, 13) prefix sums over the odometry up to each
     pass (see `_prefix_sums`), about `origin` (p, 2), the centroid of the pass's piece; jumps: (p,
-    7) what the odometry's jumps add to the variances among them; loops: between passes apart
-    in time, measured by what a laser saw there.
+    7) the same for the variances of jumps; loops: measured by views.
     """
 
     passes: Passes
@@ -93,17 +92,17 @@ def dead_reckoning(
     passes: Passes,
     noise: RunNoise,
     systematic: SystematicErrors = SystematicErrors(),
-    again: SeenAgain = NOT_SEEN_AGAIN,
+    revisits: SeenAgain = NOT_SEEN_AGAIN,
 ) -> DeadReckoning:
     """Dead reckoning of a run. O(n + p log n) for n odometry rows and p passes.
 
-    again: where the robot came by a place again; the odometry was laid out accordingly.
+    revisits: places that the robot passed again; the odometry was corrected by them.
     """
     way = way_at(odometry, passes.time_ns)
     piece = piece_of(odometry, passes.time_ns)
     leg = np.where(np.diff(stretch_of(odometry, passes.time_ns)) == 0, np.diff(way), np.nan)
     track = track_directions(odometry, passes.time_ns, passes.centre)
-    middle, about = _about_pieces(odometry)
+    centroids, centred = _about_pieces(odometry)
     return DeadReckoning(
         passes=passes,
         noise=noise,
@@ -113,62 +112,49 @@ def dead_reckoning(
         arriving=track.arriving,
         leaving=track.leaving,
         aside=np.hypot(*(odometry.at(passes.time_ns)[:, :2] - passes.centre).T),
-        origin=middle[piece],
-        sums=_prefix_sums(odometry, passes, noise, about),
-        jumps=_jump_sums(odometry, passes, about),
-        loops=_loops_of_passes(odometry, passes, noise, again),
+        origin=centroids[piece],
+        sums=_prefix_sums(odometry, passes, noise, centred),
+        jumps=_jump_sums(odometry, passes, centred),
+        loops=_loops_of_passes(odometry, passes, noise, revisits),
     )
 
 
 FAR_M = 15.0
-"""Passes farther than this from where the robot was seen again are not tied by it: two
-corridors."""
+"""Largest distance of a pass from a revisit that ties it: beyond is another corridor."""
 
 
 def _loops_of_passes(
-    odometry: Odometry, passes: Passes, noise: RunNoise, again: SeenAgain
+    odometry: Odometry, passes: Passes, noise: RunNoise, revisits: SeenAgain
 ) -> Factors:
-    """Each time that the robot came by a place again, as a loop between the two passes next to it,
-    of which the one known best is kept for every pair."""
-    if not len(again) or not len(passes):
+    """Every revisit as a loop between its nearest passes; for each pair the most certain."""
+    if not len(revisits) or not len(passes):
         return NO_FACTORS
-    way, piece = way_at(odometry, passes.time_ns), stretch_of(odometry, passes.time_ns)
-    rows, covs = [], [np.linalg.inv(again.information)]
-    for times in (again.first_ns, again.second_ns):
-        at = way_at(odometry, times)
-        gap = np.abs(way - at[:, None])
-        gap[piece != stretch_of(odometry, times)[:, None]] = np.inf
-        row = gap.argmin(axis=1)
-        away = gap[np.arange(len(at)), row]
-        rows.append(np.where(away <= FAR_M, row, -1))
-        covs.append(_straight_covariance(noise, np.minimum(away, FAR_M)))
+    pass_arc_m, stretch = way_at(odometry, passes.time_ns), stretch_of(odometry, passes.time_ns)
+    rows, covs = [], [np.linalg.inv(revisits.information)]
+    for times in (revisits.first_ns, revisits.second_ns):
+        arc_m = way_at(odometry, times)
+        gap = np.abs(pass_arc_m - arc_m[:, None])
+        gap[stretch != stretch_of(odometry, times)[:, None]] = np.inf
+        nearest = gap.argmin(axis=1)
+        distance_m = gap[np.arange(len(arc_m)), nearest]
+        rows.append(np.where(distance_m <= FAR_M, nearest, -1))
+        covs.append(noise.straight_covariance(np.minimum(distance_m, FAR_M)))
+        covs[-1][:, (0, 1), (0, 1)] += noise.centre_m**2
     first, second = np.minimum(*rows), np.maximum(*rows)
     cov = sum(covs[1:], covs[0])
-    size = cov[:, 0, 0] + cov[:, 1, 1]
-    fine = np.flatnonzero((first >= 0) & (first != second))
-    best = fine[np.argsort(size[fine], kind="stable")]
-    kept = best[np.unique([first[best], second[best]], axis=1, return_index=True)[1]]
-    first, second = first[kept], second[kept]
-    measured = np.zeros((len(kept), 3))
-    measured[:, :2] = passes.centre[second] - passes.centre[first]
-    information = np.linalg.inv(cov[kept])
-    return Factors(first, second, measured, 0.5 * (information + information.transpose(0, 2, 1)))
-
-
-def _straight_covariance(noise: RunNoise, way: FloatArray) -> FloatArray:
-    """(k, 3, 3) of x, y, theta after driving straight on for `way` (k,) [m], the same in all
-    directions."""
-    turn = noise.heading_rad_per_sqrt_m**2 * way
-    out = np.zeros((len(way), 3, 3))
-    shift = noise.along_m_per_sqrt_m**2 * way + turn * way**2 / 3 + noise.centre_m**2
-    out[:, 0, 0] = out[:, 1, 1] = shift
-    out[:, 2, 2] = turn
-    return out
+    variance = cov[:, 0, 0] + cov[:, 1, 1]
+    usable = np.flatnonzero((first >= 0) & (first != second))
+    best = usable[np.argsort(variance[usable], kind="stable")]
+    chosen = best[np.unique([first[best], second[best]], axis=1, return_index=True)[1]]
+    first, second = first[chosen], second[chosen]
+    measurement = np.zeros((len(chosen), 3))
+    measurement[:, :2] = passes.centre[second] - passes.centre[first]
+    information = np.linalg.inv(cov[chosen])
+    return Factors(first, second, measurement, 0.5 * (information + information.transpose(0, 2, 1)))
 
 
 def scale_noise(reckoning: DeadReckoning, factor: float) -> DeadReckoning:
-    """Dead reckoning with its random errors (1 sigma) multiplied by `factor`; those of jumps
-    stay."""
+    """Dead reckoning with its random errors (1 sigma) but those of jumps multiplied by `factor`."""
     n = reckoning.noise
     noise = replace(
         n,
@@ -190,13 +176,13 @@ def _about_pieces(odometry: Odometry) -> tuple[FloatArray, FloatArray]:
     Sums about the centroid keep their precision wherever a reset has put the frame.
     """
     position = odometry.pose[:, :2]
-    middle = np.stack([m.mean(axis=0) for m in np.split(position, odometry.breaks)])
+    centroids = np.stack([m.mean(axis=0) for m in np.split(position, odometry.breaks)])
     piece = np.searchsorted(odometry.breaks, np.arange(len(position)), side="right")
-    return middle, position - middle[piece]
+    return centroids, position - centroids[piece]
 
 
 def _prefix_sums(
-    odometry: Odometry, passes: Passes, noise: RunNoise, about: FloatArray
+    odometry: Odometry, passes: Passes, noise: RunNoise, centred: FloatArray
 ) -> FloatArray:
     """(p, 13) sums over all odometry steps before each pass.
 
@@ -204,21 +190,21 @@ def _prefix_sums(
     Σds, Σds x, Σds y; Σdθ, Σdθ x, Σdθ y.
     """
     step, turn = odometry.step_m, odometry.turn_rad
-    x, y = about.T
-    q = noise.heading_rad_per_sqrt_m**2 * step
-    q = q + noise.heading_rad_per_sqrt_rad**2 * np.abs(turn)
-    along = noise.along_m_per_sqrt_m**2 * step
-    spread = _variances(q, along, x, y)
-    constant = [step, step * x, step * y, turn, turn * x, turn * y]
-    return _up_to_passes(odometry, passes, spread + constant)
+    x, y = centred.T
+    heading_variance = noise.heading_rad_per_sqrt_m**2 * step
+    heading_variance = heading_variance + noise.heading_rad_per_sqrt_rad**2 * np.abs(turn)
+    along_variance = noise.along_m_per_sqrt_m**2 * step
+    variances = _variances(heading_variance, along_variance, x, y)
+    systematic = [step, step * x, step * y, turn, turn * x, turn * y]
+    return _up_to_passes(odometry, passes, variances + systematic)
 
 
-def _jump_sums(odometry: Odometry, passes: Passes, about: FloatArray) -> FloatArray:
+def _jump_sums(odometry: Odometry, passes: Passes, centred: FloatArray) -> FloatArray:
     """(p, 7) the variance columns of `_prefix_sums`, over the jumps only."""
-    q, along = np.zeros(len(odometry)), np.zeros(len(odometry))
-    along[odometry.jumps], q[odometry.jumps] = odometry.jump_sigma.T**2
-    x, y = about.T
-    return _up_to_passes(odometry, passes, _variances(q, along, x, y))
+    heading_variance, along_variance = np.zeros(len(odometry)), np.zeros(len(odometry))
+    along_variance[odometry.jumps], heading_variance[odometry.jumps] = odometry.jump_sigma.T**2
+    x, y = centred.T
+    return _up_to_passes(odometry, passes, _variances(heading_variance, along_variance, x, y))
 
 
 def _variances(q: FloatArray, along: FloatArray, x: FloatArray, y: FloatArray) -> list[FloatArray]:
@@ -227,8 +213,8 @@ def _variances(q: FloatArray, along: FloatArray, x: FloatArray, y: FloatArray) -
 
 def _up_to_passes(odometry: Odometry, passes: Passes, columns: list[FloatArray]) -> FloatArray:
     """Sums of the columns over the odometry steps before each pass."""
-    total = np.cumsum(np.stack(columns, axis=1), axis=0)
-    return np.stack([interpolated(odometry, column, passes.time_ns) for column in total.T], axis=1)
+    sums = np.cumsum(np.stack(columns, axis=1), axis=0)
+    return np.stack([interpolated(odometry, column, passes.time_ns) for column in sums.T], axis=1)
 
 
 def relative_covariance(reckoning: DeadReckoning, first: IntArray, second: IntArray) -> FloatArray:
@@ -239,22 +225,22 @@ def relative_covariance(reckoning: DeadReckoning, first: IntArray, second: IntAr
     O(1) per pair: with S0 = Σq, S1 = Σq p, S2 = Σq p pᵀ over the steps between and c the second
     pass, C_θθ = S0, C_xyθ = J (S0 c - S1), C_xy = Στ² ds I + J (S0 c cᵀ - S1 cᵀ - c S1ᵀ + S2) Jᵀ.
     """
-    d = _between(reckoning.sums[:, RANDOM] + reckoning.jumps, first, second)
+    sums = _between(reckoning.sums[:, RANDOM] + reckoning.jumps, first, second)
     c = (reckoning.passes.centre - reckoning.origin)[second]
-    s0, s1x, s1y, s2xx, s2xy, s2yy, along = d.T
+    s0, s1x, s1y, s2xx, s2xy, s2yy, along = sums.T
     x, y = c.T
     mxx = s0 * x * x - 2 * s1x * x + s2xx
     mxy = s0 * x * y - s1x * y - s1y * x + s2xy
     myy = s0 * y * y - 2 * s1y * y + s2yy
-    out = np.zeros((len(d), 3, 3))
+    covariance = np.zeros((len(sums), 3, 3))
     # J m Jᵀ with J = [[0, -1], [1, 0]].
-    out[:, 0, 0] = along + myy
-    out[:, 1, 1] = along + mxx
-    out[:, 0, 1] = out[:, 1, 0] = -mxy
-    out[:, 0, 2] = out[:, 2, 0] = -(s0 * y - s1y)
-    out[:, 1, 2] = out[:, 2, 1] = s0 * x - s1x
-    out[:, 2, 2] = s0
-    return out
+    covariance[:, 0, 0] = along + myy
+    covariance[:, 1, 1] = along + mxx
+    covariance[:, 0, 1] = covariance[:, 1, 0] = -mxy
+    covariance[:, 0, 2] = covariance[:, 2, 0] = -(s0 * y - s1y)
+    covariance[:, 1, 2] = covariance[:, 2, 1] = s0 * x - s1x
+    covariance[:, 2, 2] = s0
+    return covariance
 
 
 def systematic_modes(reckoning: DeadReckoning, first: IntArray, second: IntArray) -> FloatArray:
@@ -264,15 +250,15 @@ def systematic_modes(reckoning: DeadReckoning, first: IntArray, second: IntArray
     Last axis: turn per metre, turn per radian (`SystematicErrors`). Exact sums over the odometry
     rows, for first <= second.
     """
-    d = _between(reckoning.sums, first, second)
+    sums = _between(reckoning.sums, first, second)
     c = (reckoning.passes.centre - reckoning.origin)[second]
-    out = np.zeros((len(d), 3, 2))
-    for mode, at in ((0, 7), (1, 10)):
-        l0, l1x, l1y = d[:, at], d[:, at + 1], d[:, at + 2]
-        out[:, 0, mode] = -(l0 * c[:, 1] - l1y)
-        out[:, 1, mode] = l0 * c[:, 0] - l1x
-        out[:, 2, mode] = l0
-    return out
+    modes = np.zeros((len(sums), 3, 2))
+    for mode, column in ((0, 7), (1, 10)):
+        l0, l1x, l1y = sums[:, column], sums[:, column + 1], sums[:, column + 2]
+        modes[:, 0, mode] = -(l0 * c[:, 1] - l1y)
+        modes[:, 1, mode] = l0 * c[:, 0] - l1x
+        modes[:, 2, mode] = l0
+    return modes
 
 
 def dead_reckoning_covariance(
@@ -280,16 +266,15 @@ def dead_reckoning_covariance(
 ) -> FloatArray:
     """(k, 3, 3) `relative_covariance` including the systematic errors."""
     modes = systematic_modes(reckoning, first, second)
-    s = reckoning.systematic
-    modes = modes * np.array([s.turn_rad_per_m, s.turn_rad_per_rad])
-    out: FloatArray = relative_covariance(reckoning, first, second) + modes @ modes.transpose(
-        0, 2, 1
-    )
-    return out
+    systematic = reckoning.systematic
+    modes = modes * np.array([systematic.turn_rad_per_m, systematic.turn_rad_per_rad])
+    covariance: FloatArray = relative_covariance(
+        reckoning, first, second
+    ) + modes @ modes.transpose(0, 2, 1)
+    return covariance
 
 
 def _between(sums: FloatArray, first: IntArray, second: IntArray) -> FloatArray:
     """(k, c) sums over the odometry between two passes each, in either order."""
     low, high = np.minimum(first, second), np.maximum(first, second)
-    difference: FloatArray = sums[high] - sums[low]
-    return difference
+    return np.asarray(sums[high] - sums[low])

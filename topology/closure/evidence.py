@@ -1,8 +1,7 @@
 """Evidence [nats] that two places are one: position and lengths of corridors.
 
 Every term compares "the same place" with "another place of this run", so that what is common in a
-run contributes little. Lengths are compared by `matching/likelihood.py`; for branches see
-`branches.py`.
+run contributes little. Lengths are compared by `matching/likelihood.py`, branches by `branches.py`.
 """
 
 from __future__ import annotations
@@ -23,26 +22,26 @@ from .places import Places
 
 @dataclass(frozen=True, slots=True)
 class EvidenceSettings:
-    """Parameters of the evidence that do not follow from the noise of a run."""
+    """Parameters of the evidence that are not estimated from a run."""
 
     core_quantile: float = 0.03
-    """Quantile of the lengths of all corridors below which two junctions are seldom
-    (`LIKELIHOOD.fault_floor`) apart; tried: 0.1, no change. Also the share of passes that are
-    farther from the track than `Background.reach_m`."""
+    """Quantile of the lengths of all corridors that is the core: two junctions are seldom
+    (`LIKELIHOOD.fault_floor`) nearer to each other. Tried: 0.1, no change. Also the share of passes
+    that are farther from the track than `Background.reach_m`."""
     inflation: float = 1.2
-    """Factor on the estimated sigmas, which come from few repeats. Tried: with 1, two places of a
-    run on tiles are taken for one."""
+    """Factor on the estimated sigmas, which are from few revisits. Tried: with 1, two places on
+    tiles are identified."""
     bandwidth_rad: float = 0.12
     """Width of the kernels of the null model of sets of branches, in addition to the noise [rad].
-    Tried: with 0 and 0.06 a place of a real run (Intel) is no longer found again."""
+    Tried: with 0 and 0.06 a revisit of a real run (Intel) is no longer found."""
     references: int = 100
     """Size of the sample of places for the null model of sets of branches."""
     strip: int = 64
-    """Places whose null model is evaluated at once, to fit the cache."""
+    """Places in a batch of the null model, which fits the cache."""
     lead: float = 3.0
-    """Log odds [nats] by which one answer must exceed its alternatives, 20 to one: sets of
-    identifications over those that exclude one of them, each candidate that joins a set
-    (`joint_compatibility.py`), and likeness over what is nearly as much alike (`candidates.py`)."""
+    """Required lead over alternatives [nats], 20 to one: of sets of identifications over those that
+    exclude one of them, of each candidate that joins a set (`joint_compatibility.py`), and of
+    surroundings over null pairs that are nearly as similar (`candidates.py`)."""
 
 
 EVIDENCE = EvidenceSettings()
@@ -80,44 +79,44 @@ class Background:
 
 
 def measured_rates(places: Places, noise: RunNoise) -> RunNoise:
-    """The noise, with the detector's error rates estimated on this run.
+    """The noise, with the detector's error rates estimated from this run.
 
-    miss_rate: of traversals of a corridor that mostly leads to one place, the share that ended at
-    another one because of a missed or a spurious detection. branch_fault_rate: of observations of a
-    branch at places with three passes or more, the share that disagrees with the majority.
+    miss_rate: share of the traversals of a corridor that ended at another place than most, because
+    of a missed or a spurious detection. branch_fault_rate: share of the observations of a branch
+    that disagree with the majority, at places with three passes or more.
     """
-    several = places.tried >= 2
-    torn = float((places.tried - places.driven)[several].sum())
-    legs = float((places.tried - 1)[several].sum())
-    known = places.visits >= 3
-    share = places.share[known]
-    odd = np.where(np.isfinite(places.heading[known]), np.minimum(share, 1 - share), 0.0)
-    faults = float((odd.sum(axis=1) * places.visits[known]).sum())
-    passes = float(places.visits[known].sum())
+    repeated = places.tried >= 2
+    failures = float((places.tried - places.driven)[repeated].sum())
+    legs = float((places.tried - 1)[repeated].sum())
+    visited = places.visits >= 3
+    share = places.share[visited]
+    disagreeing = np.where(np.isfinite(places.heading[visited]), np.minimum(share, 1 - share), 0.0)
+    faults = float((disagreeing.sum(axis=1) * places.visits[visited]).sum())
+    passes = float(places.visits[visited].sum())
 
     def rate(prior: float, count: float, of: float) -> float:
         return (prior * PRIOR_PASSES + count) / (PRIOR_PASSES + of)
 
     return replace(
         noise,
-        miss_rate=rate(noise.miss_rate, torn, legs),
+        miss_rate=rate(noise.miss_rate, failures, legs),
         branch_fault_rate=rate(noise.branch_fault_rate, faults, passes),
     )
 
 
 def background(reckoning: DeadReckoning, noise: RunNoise) -> Background:
-    """The statistics of a run. noise: as far as the run has shown it."""
+    """The statistics of a run. noise: with `measured_rates`."""
     legs = reckoning.leg[np.isfinite(reckoning.leg)]
     # Chords: the length of a leg that turns back or winds does not bound the junctions' distance.
     chord = np.hypot(*np.diff(reckoning.passes.centre, axis=0).T)
     chord = chord[np.isfinite(reckoning.leg)]
-    # Legs of a standing robot have no length but the noise of the two centres.
+    # Legs of a standing robot have only the noise of the two centres as length.
     centre_sigma = EVIDENCE.inflation * noise.centre_m
-    moved = chord[chord > LIKELIHOOD.gate_sigmas * np.sqrt(2) * centre_sigma]
-    core_m = float(np.quantile(moved, EVIDENCE.core_quantile)) if len(moved) else 1.0
-    typical = float(np.median(legs)) if len(legs) else core_m
+    moved_chord = chord[chord > LIKELIHOOD.gate_sigmas * np.sqrt(2) * centre_sigma]
+    core_m = float(np.quantile(moved_chord, EVIDENCE.core_quantile)) if len(moved_chord) else 1.0
+    typical_m = float(np.median(legs)) if len(legs) else core_m
     return Background(
-        leg_m=max(typical, core_m),
+        leg_m=max(typical_m, core_m),
         core_m=core_m,
         reach_m=float(np.quantile(reckoning.aside, 1.0 - EVIDENCE.core_quantile)),
         lengths=Lengths.of(legs),
@@ -142,23 +141,23 @@ def position_odds(
     Mahalanobis distance.
 
     shift: (k, 2) [m] between the two, with covariance `cov` (k, 2, 2) [m²]. The alternative is
-    another junction, which may lie anywhere outside the core around this one, but on `ground` that
-    was driven without a detection only if it was missed.
+    another junction anywhere outside the core around this one; on `ground` that was driven without
+    a detection it must have been missed.
     """
     x, y = shift.T
     d2, det = squared_mahalanobis(x, y, cov)
-    s2 = np.sqrt(det)
+    area = np.sqrt(det)
     # Bounded where the probability inside the core is 0 anyway.
-    far = (common.core_m / np.sqrt(s2) + 2 * LIKELIHOOD.gate_sigmas) ** 2
-    inside = chndtr(common.core_m**2 / s2, 2.0, np.minimum((x * x + y * y) / s2, far))
+    bounded_d2 = (common.core_m / np.sqrt(area) + 2 * LIKELIHOOD.gate_sigmas) ** 2
+    inside = chndtr(common.core_m**2 / area, 2.0, np.minimum((x * x + y * y) / area, bounded_d2))
     # Two junctions within the core (doors side by side) do not coincide.
-    apart = np.minimum((x * x + y * y + 2 * s2) / common.core_m**2, 1.0)
+    apart = np.minimum((x * x + y * y + 2 * area) / common.core_m**2, 1.0)
     outside = 1.0 - inside
     if ground is not None:
         driven = np.minimum(ground.share(shift, cov, common.core_m, common.reach_m), outside)
         outside = outside - (1.0 - common.miss_rate) * driven
     rival = common.density * np.maximum(outside, LIKELIHOOD.fault_floor * apart)
-    odds = -0.5 * d2 - np.log(2 * np.pi * s2) - np.log(rival)
+    odds = -0.5 * d2 - np.log(2 * np.pi * area) - np.log(rival)
     return odds, d2
 
 
@@ -166,19 +165,21 @@ def among_neighbours(
     common: Background, odds: FloatArray, shift: FloatArray, cov: FloatArray
 ) -> FloatArray:
     """(k,) the `odds` of `position_odds`, lowered where the lattice predicts another junction at
-    `shift`, which is then an alternative as well."""
+    `shift`: it is an additional alternative."""
     if not common.lattice.repeats:
         return odds
     # Neighbours lie outside the core: only uncertain pairs can be confused with them.
-    room = common.core_m - np.hypot(*shift.T)
-    vague = np.flatnonzero(room**2 < LIKELIHOOD.gate_sigmas**2 * (cov[:, 0, 0] + cov[:, 1, 1]))
-    shift, cov = shift[vague], cov[vague]
+    margin_m = common.core_m - np.hypot(*shift.T)
+    uncertain = np.flatnonzero(
+        margin_m**2 < LIKELIHOOD.gate_sigmas**2 * (cov[:, 0, 0] + cov[:, 1, 1])
+    )
+    shift, cov = shift[uncertain], cov[uncertain]
     d2, det = squared_mahalanobis(shift[:, 0], shift[:, 1], cov)
     density = np.maximum(common.lattice.density(shift, cov), np.finfo(np.float64).tiny)
-    out = odds.copy()
-    against = -0.5 * d2 - np.log(2 * np.pi * np.sqrt(det)) - np.log(density)
-    out[vague] = np.minimum(odds[vague], against)
-    return out
+    lowered = odds.copy()
+    odds_against_neighbour = -0.5 * d2 - np.log(2 * np.pi * np.sqrt(det)) - np.log(density)
+    lowered[uncertain] = np.minimum(odds[uncertain], odds_against_neighbour)
+    return lowered
 
 
 def length_odds(common: Background, a: FloatArray, b: FloatArray, var: FloatArray) -> FloatArray:

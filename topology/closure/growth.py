@@ -25,8 +25,8 @@ class GrowthSettings:
     """How the steps of growth count."""
 
     discount: float = 0.85
-    """Weight of each hop relative to the one before: legs are not independent of each other. Tried:
-    with 1 a run on tiles is closed wrongly under three times the noise."""
+    """Weight of each hop relative to the hop before: legs are not independent. Tried: with 1 a run
+    on tiles is closed wrongly under three times the noise."""
     wobble_m: float = 0.08
     """1 sigma of the length driven through one corridor [m]. Tried: with 0 rows close less
     often."""
@@ -37,8 +37,7 @@ GROWTH = GrowthSettings()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MapState:
-    """The state of the map: places, their positions xy (n, 2) [m] and branches, and the run's
-    statistics."""
+    """The state of the map: places, positions xy (n, 2) [m], branches, and statistics."""
 
     reckoning: DeadReckoning
     places: Places
@@ -49,8 +48,8 @@ class MapState:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Front:
-    """Pairs of places that hypotheses have reached: a and b, with b's branches rotated by `turn`
-    [rad]."""
+    """Pairs of places a, b (k,) that hypotheses (k,) have reached. turn: (k,) rotation of b's
+    branches that aligns them with a's [rad]; partner: (k, s) slot of b of each slot of a, or -1."""
 
     hypothesis: IntArray
     a: IntArray
@@ -61,8 +60,8 @@ class _Front:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Reached:
-    """Pairs of legs: the pair of places that they leave (`row` of the front), the pair of places
-    qa, qb and slots ea, eb that they reach, and their lengths la, lb [m]."""
+    """Pairs of legs. row: (m,) of the front, the pair of places that they leave; qa, qb: (m,)
+    places that they reach; ea, eb: (m,) slots there; la, lb: (m,) lengths [m]."""
 
     row: IntArray
     qa: IntArray
@@ -72,17 +71,14 @@ class _Reached:
     la: FloatArray
     lb: FloatArray
     missed: IntArray
-    """Junctions that must have been missed in one of the two."""
+    """(m,) number of junctions that must have been missed on one of the two."""
 
 
 def grow(
-    state: MapState,
-    a: IntArray,
-    b: IntArray,
-    aligned: Alignment,
+    state: MapState, a: IntArray, b: IntArray, aligned: Alignment
 ) -> tuple[FloatArray, FloatArray]:
     """Evidence [nats] for and against the hypotheses "place a[k] is place b[k]", both (k,) and
-    positive, from the corridors around them that agree and that disagree, over `HOPS` corridors.
+    positive, from the corridors around that agree and that disagree, over `HOPS` hops.
 
     aligned: the branches of a and b.
     """
@@ -90,47 +86,47 @@ def grow(
     k = len(a)
     gain, loss = np.zeros(k), np.zeros(k)
     front = _Front(np.arange(k), a, b, aligned.turn, aligned.partner)
-    seen = _keys(front.hypothesis, a, b, len(places))
+    visited = _keys(front.hypothesis, a, b, len(places))
     weight, miss = 1.0, float(np.log(common.miss_rate))
     turn_sigma = float(np.sqrt(state.branches.variance))
     for _ in range(HOPS):
         pairs = _leave(places, front)
         if len(pairs.row) == 0:
             break
-        reached, torn = _compare(state, front, pairs)
-        loss += weight * -miss * np.bincount(front.hypothesis[torn], minlength=k)
-        h = front.hypothesis[reached.row]
-        var = _leg_variance(state, reached.la, reached.lb)
-        odds = np.clip(length_odds(common, reached.la, reached.lb, var), 0.0, LIKELIHOOD.most)
+        reached, contradicted = _compare(state, front, pairs)
+        loss += weight * -miss * np.bincount(front.hypothesis[contradicted], minlength=k)
+        hypothesis = front.hypothesis[reached.row]
+        variance = _leg_variance(state, reached.la, reached.lb)
+        odds = np.clip(length_odds(common, reached.la, reached.lb, variance), 0.0, LIKELIHOOD.most)
         odds = odds + miss * reached.missed
-        same = reached.qa == reached.qb
+        closes = reached.qa == reached.qb
         # Both legs end at one place: by one branch they agree, by two branches they disagree.
-        odds = np.where(same, np.where(reached.ea == reached.eb, odds - miss, miss), odds)
-        further = np.flatnonzero(~same)
-        ends = align(
+        odds = np.where(closes, np.where(reached.ea == reached.eb, odds - miss, miss), odds)
+        open_ends = np.flatnonzero(~closes)
+        alignment = align(
             state.branches,
-            reached.qa[further],
-            reached.qb[further],
-            turn_sigma=np.full(len(further), turn_sigma),
-            turn_mean=front.turn[reached.row[further]],
+            reached.qa[open_ends],
+            reached.qb[open_ends],
+            turn_sigma=np.full(len(open_ends), turn_sigma),
+            turn_mean=front.turn[reached.row[open_ends]],
         )
-        fit = ends.odds
-        odds[further] += np.clip(fit, 2 * miss, LIKELIHOOD.most)
-        gain += weight * np.bincount(h, np.maximum(odds, 0.0), minlength=k)
-        loss += weight * np.bincount(h, np.maximum(-odds, 0.0), minlength=k)
-        good = (fit > 0.5 * miss) & (reached.missed[further] < 2)
-        next_ = further[good]
-        keys = _keys(h[next_], reached.qa[next_], reached.qb[next_], len(places))
-        fresh, at = np.unique(keys, return_index=True)
-        at = at[~np.isin(fresh, seen)]
-        seen = np.concatenate([seen, keys[at]])
-        pick = next_[at]
+        fit = alignment.odds
+        odds[open_ends] += np.clip(fit, 2 * miss, LIKELIHOOD.most)
+        gain += weight * np.bincount(hypothesis, np.maximum(odds, 0.0), minlength=k)
+        loss += weight * np.bincount(hypothesis, np.maximum(-odds, 0.0), minlength=k)
+        good = (fit > 0.5 * miss) & (reached.missed[open_ends] < 2)
+        onward = open_ends[good]
+        keys = _keys(hypothesis[onward], reached.qa[onward], reached.qb[onward], len(places))
+        new_keys, first_row = np.unique(keys, return_index=True)
+        first_row = first_row[~np.isin(new_keys, visited)]
+        visited = np.concatenate([visited, keys[first_row]])
+        chosen = onward[first_row]
         front = _Front(
-            h[pick],
-            reached.qa[pick],
-            reached.qb[pick],
-            front.turn[reached.row[pick]],
-            ends.partner[np.flatnonzero(good)[at]],
+            hypothesis[chosen],
+            reached.qa[chosen],
+            reached.qb[chosen],
+            front.turn[reached.row[chosen]],
+            alignment.partner[np.flatnonzero(good)[first_row]],
         )
         weight *= GROWTH.discount
     return gain, loss
@@ -149,70 +145,67 @@ def _leave(places: Places, front: _Front) -> _Reached:
     qa, qb = places.next_place[pa, slot_a], places.next_place[pb, slot_b]
     ea, eb = places.next_slot[pa, slot_a], places.next_slot[pb, slot_b]
     # The same leg seen from both of its ends, or twice from one place, is no evidence.
-    own = (qa == pb) & (qb == pa) & (ea == slot_b) & (eb == slot_a)
-    use = (qa != NOWHERE) & (qb != NOWHERE) & ~own & (pa != pb)
+    is_same_leg = (qa == pb) & (qb == pa) & (ea == slot_b) & (eb == slot_a)
+    usable = (qa != NOWHERE) & (qb != NOWHERE) & ~is_same_leg & (pa != pb)
     la, lb = places.length[pa, slot_a], places.length[pb, slot_b]
-    none = np.zeros(int(use.sum()), np.int64)
-    return _Reached(row[use], qa[use], qb[use], ea[use], eb[use], la[use], lb[use], none)
+    columns = (row, qa, qb, ea, eb, la, lb, np.zeros(len(row), np.int64))
+    return _Reached(*(column[usable] for column in columns))
 
 
 def _compare(state: MapState, front: _Front, pairs: _Reached) -> tuple[_Reached, IntArray]:
-    """Pairs of legs that agree, possibly past one missed junction; and rows of the front of the
-    others."""
+    """Pairs of legs that agree, possibly past one missed junction; and rows of the others."""
     agree = _agree(state, front, pairs)
-    rest = np.flatnonzero(~agree)
-    through = _past_missed(state, front, take(pairs, rest))
-    found = np.zeros(len(rest), bool)
-    found[through[1]] = True
-    torn = pairs.row[rest[~found]]
-    return joined([take(pairs, np.flatnonzero(agree)), through[0]]), torn
+    disagreeing = np.flatnonzero(~agree)
+    past_missed = _past_missed(state, front, take(pairs, disagreeing))
+    is_through = np.zeros(len(disagreeing), bool)
+    is_through[past_missed[1]] = True
+    contradicted = pairs.row[disagreeing[~is_through]]
+    return joined([take(pairs, np.flatnonzero(agree)), past_missed[0]]), contradicted
 
 
 def _agree(state: MapState, front: _Front, pairs: _Reached) -> BoolArray:
-    """(m,) whether lengths are equal, and ends coincide if the two places do, within the gate."""
-    var = _leg_variance(state, pairs.la, pairs.lb)
-    near = np.abs(pairs.la - pairs.lb) < LIKELIHOOD.gate_sigmas * np.sqrt(var)
-    da = state.xy[pairs.qa] - state.xy[front.a[pairs.row]]
-    db = state.xy[pairs.qb] - state.xy[front.b[pairs.row]]
-    x, y = (da - turned(db, front.turn[pairs.row])).T
-    room = LIKELIHOOD.gate_sigmas * np.sqrt(var + state.branches.variance * pairs.la**2)
-    result: BoolArray = near & (np.hypot(x, y) < room)
-    return result
+    """(m,) whether lengths agree, and the ends coincide if the starts do, within the gate."""
+    variance = _leg_variance(state, pairs.la, pairs.lb)
+    lengths_agree = np.abs(pairs.la - pairs.lb) < LIKELIHOOD.gate_sigmas * np.sqrt(variance)
+    chord_a = state.xy[pairs.qa] - state.xy[front.a[pairs.row]]
+    chord_b = state.xy[pairs.qb] - state.xy[front.b[pairs.row]]
+    dx, dy = (chord_a - turned(chord_b, front.turn[pairs.row])).T
+    tolerance = LIKELIHOOD.gate_sigmas * np.sqrt(variance + state.branches.variance * pairs.la**2)
+    return np.asarray(lengths_agree & (np.hypot(dx, dy) < tolerance))
 
 
 def _past_missed(state: MapState, front: _Front, pairs: _Reached) -> tuple[_Reached, IntArray]:
-    """Pairs of legs that agree after extending the shorter leg past its end by one more leg.
-
-    Returns these pairs, and for each the index into `pairs` that it came from.
-    """
+    """Pairs of legs that agree after the shorter leg is extended by one more leg, past a junction
+    that the other one missed. Returns them, and the row of `pairs` of each."""
     short_a = pairs.la < pairs.lb
-    middle, entry = np.where(short_a, pairs.qa, pairs.qb), np.where(short_a, pairs.ea, pairs.eb)
-    index, slot = np.nonzero(state.places.next_place[middle] != NOWHERE)
-    keep = slot != entry[index]
-    index, slot = index[keep], slot[keep]
-    m, first = middle[index], short_a[index]
-    on, onto = state.places.next_place[m, slot], state.places.next_slot[m, slot]
-    more = state.places.length[m, slot]
-    tried = _Reached(
+    missed = np.where(short_a, pairs.qa, pairs.qb)
+    entry = np.where(short_a, pairs.ea, pairs.eb)
+    index, slot = np.nonzero(state.places.next_place[missed] != NOWHERE)
+    is_onward = slot != entry[index]
+    index, slot = index[is_onward], slot[is_onward]
+    place, extends_a = missed[index], short_a[index]
+    onward = state.places.next_place[place, slot]
+    onward_slot = state.places.next_slot[place, slot]
+    added_m = state.places.length[place, slot]
+    extended = _Reached(
         row=pairs.row[index],
-        qa=np.where(first, on, pairs.qa[index]),
-        qb=np.where(first, pairs.qb[index], on),
-        ea=np.where(first, onto, pairs.ea[index]),
-        eb=np.where(first, pairs.eb[index], onto),
-        la=pairs.la[index] + np.where(first, more, 0.0),
-        lb=pairs.lb[index] + np.where(first, 0.0, more),
+        qa=np.where(extends_a, onward, pairs.qa[index]),
+        qb=np.where(extends_a, pairs.qb[index], onward),
+        ea=np.where(extends_a, onward_slot, pairs.ea[index]),
+        eb=np.where(extends_a, pairs.eb[index], onward_slot),
+        la=pairs.la[index] + np.where(extends_a, added_m, 0.0),
+        lb=pairs.lb[index] + np.where(extends_a, 0.0, added_m),
         missed=np.ones(len(index), np.int64),
     )
-    fine = np.flatnonzero(_agree(state, front, tried))
+    agreeing = np.flatnonzero(_agree(state, front, extended))
     # One continuation per pair: the one nearest in length.
-    off = np.abs(tried.la[fine] - tried.lb[fine])
-    order = fine[np.lexsort((off, index[fine]))]
-    once = order[np.diff(index[order], prepend=-1) > 0]
-    return take(tried, once), index[once]
+    difference = np.abs(extended.la[agreeing] - extended.lb[agreeing])
+    order = agreeing[np.lexsort((difference, index[agreeing]))]
+    best = order[np.diff(index[order], prepend=-1) > 0]
+    return take(extended, best), index[best]
 
 
 def _leg_variance(state: MapState, la: FloatArray, lb: FloatArray) -> FloatArray:
     along = state.reckoning.noise.along_m_per_sqrt_m**2 * (la + lb)
-    fixed = 2 * GROWTH.wobble_m**2 + 4 * state.common.centre_sigma**2
-    out: FloatArray = fixed + along
-    return out
+    constant = 2 * GROWTH.wobble_m**2 + 4 * state.common.centre_sigma**2
+    return np.asarray(constant + along)

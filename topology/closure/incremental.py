@@ -1,8 +1,7 @@
 """Full closure: incremental identification, the most certain first.
 
-A run is available as a whole, so it is not closed pass by pass. Each round makes the
-identifications that are certain by now, optimises the pose graph again, and passes the reduced
-uncertainty on to the next round.
+A run is available as a whole, so it is not closed pass by pass. Each round makes the certain
+identifications and optimises the pose graph again, which leaves less uncertainty to the next.
 """
 
 from __future__ import annotations
@@ -36,12 +35,7 @@ from .estimate import Estimate, optimise
 from .evidence import background, measured_rates, with_lattice
 from .growth import MapState
 from .joint_compatibility import agreeing
-from .manhattan import (
-    GridCorridors,
-    GridHeadings,
-    grid_corridors,
-    grid_headings,
-)
+from .manhattan import GridCorridors, GridHeadings, grid_corridors, grid_headings
 from .places import NOWHERE, Places, tabulate
 from .variance_components import with_shown_spread
 
@@ -54,18 +48,19 @@ class RoundSettings:
     """
 
     wrong_share: float = 0.1
-    """Share of runs with a wrong identification if all of them just reach the required odds. Tried
+    """Share of runs with a wrong identification, if all identifications just reach the required
+    odds. Tried
     on walks through equal aisles: with 0.1 one of 16 is closed wrongly, with 0.05 two, with 0.2 two
     of the first five; but 0.2 joins two passes in a part of Intel that 0.1 does not."""
     strict_wrong_share: float = 0.002
-    """The same of a closure by better evidence (`alternatives.py`). Of 120 city walks at high drift
-    5 hold two places as one; with closures by 0.1 to choose from 3, by 0.02 as well 1, by 0.002
-    none."""
+    """The same for the stricter one of the alternative closures (`alternatives.py`). Of 120 city
+    walks at high drift 5 hold two places as one; with alternatives by 0.1 3, by 0.02 as well 1, by
+    0.002 none."""
     most_crossing: float = 0.05
-    """Share of corridors that cross from which on a run is closed again (`alternatives.py`): of 574
+    """Least share of crossing corridors at which a run is closed again (`alternatives.py`): of 574
     simulated runs that are closed rightly 9 % have as many, of 13 in streets that are not, 12."""
     caution: float = 1.25
-    """Factor on the estimated random errors: a dozen repeats estimate a sigma to a quarter."""
+    """Factor on the estimated random errors: a dozen revisits estimate a sigma to a quarter."""
 
 
 ROUNDS = RoundSettings()
@@ -85,8 +80,8 @@ class Closed:
 
     reckoning: the one given, with its noise raised by `caution` and by the residuals of the
     estimate; place: (p,) place of each pass, numbered by first visit; estimate: the optimised
-    positions; identifications: all that were made, and the refused ones that had some evidence;
-    grid: the headings of the building's grid, if it has one.
+    positions; identifications: all accepted ones, and the refused ones with some evidence; grid:
+    headings by the building's grid, if it has one.
     """
 
     reckoning: DeadReckoning
@@ -97,13 +92,12 @@ class Closed:
 
 
 def full_closure(reckoning: DeadReckoning, wrong_share: float = ROUNDS.wrong_share) -> Closed:
-    """Identify the passes of a run, with headings held by the grid of its building if it has
-    one."""
+    """Identify the passes of a run, with headings by the grid of its building, if any."""
     return _in_rounds(_Closure(reckoning, grid_headings(reckoning), wrong_share))
 
 
 def closure_without_grid(reckoning: DeadReckoning) -> Closed:
-    """Identify the passes of a run without using the headings of a grid."""
+    """Identify the passes of a run without headings by a grid."""
     return _in_rounds(_Closure(reckoning, None, ROUNDS.wrong_share))
 
 
@@ -113,18 +107,18 @@ def unclosed(reckoning: DeadReckoning) -> Closed:
     return Closed(reckoning, place, optimise(reckoning, place), identifications=[], grid=None)
 
 
-def _in_rounds(under_way: _Closure) -> Closed:
+def _in_rounds(closure: _Closure) -> Closed:
     # Terminates: every round but the first adds an identification or is the last, and those taken
     # back are blocked.
     for number in count(1):
-        new = under_way.certain(number)
-        if new:
-            under_way.identify(new)
-            under_way.fit_noise()
-            under_way.take_back_outliers(number)
+        identifications = closure.certain(number)
+        if identifications:
+            closure.identify(identifications)
+            closure.fit_noise()
+            closure.take_back_outliers(number)
         elif number > 1:
             break
-    return under_way.result()
+    return closure.result()
 
 
 class _Closure:
@@ -138,40 +132,37 @@ class _Closure:
         self._reckoning = self._unscaled = scale_noise(reckoning, ROUNDS.caution)
         self._scale = 1.0
         self._corridors: GridCorridors | None = None
-        self._links: list[Identification] = []
+        self._identifications: list[Identification] = []
         self._blocked: set[tuple[int, int]] = set()
         self._doubts: dict[tuple[int, int], Identification] = {}
         self._place = np.arange(len(reckoning), dtype=np.int64)
         self._estimate = self._optimised(None)
 
     def certain(self, number: int) -> list[Identification]:
-        """The identifications that are certain given the present estimate: individually or, failing
-        that, jointly.
-
-        The first round uses cheap bounds of the covariances and makes only the clear
-        identifications.
-        """
+        """The identifications that are certain by the present estimate: individually or, if there
+        are none, jointly. The first round uses cheap bounds of the covariances, and makes only
+        clear identifications."""
         exact = number > 1
-        state = self._scene()
+        state = self._map_state()
         found = candidates(state, self._place, self._estimate, exact=exact)
         found = take(found, ~_blocked(found, self._blocked, self._place))
-        new = _certain(state.places, found, self._least_odds)
+        certain_now = _certain(state.places, found, self._least_odds)
         found = take(found, found.fits)
-        self._doubts = _doubted(self._doubts, state.places, found, self._least_odds, number)
-        if not new and exact:
-            new, reasons = _together(state, found, self._estimate, self._least_odds)
+        self._doubts = _doubts_of_round(self._doubts, state.places, found, self._least_odds, number)
+        if not certain_now and exact:
+            certain_now, reasons = _together(state, found, self._estimate, self._least_odds)
             self._doubts |= explained(self._doubts, reasons)
-        return [replace(q, round=number) for q in new]
+        return [replace(q, round=number) for q in certain_now]
 
-    def identify(self, new: list[Identification]) -> None:
-        """Join the places of these passes and optimise the pose graph again."""
-        self._links += new
-        turn = self._estimate.pose[:, 2] + _turns(self._place, new)
-        self._place = _partition(len(self._reckoning), self._links)
+    def identify(self, identifications: list[Identification]) -> None:
+        """Identify these passes, and optimise the pose graph again."""
+        self._identifications += identifications
+        turn = self._estimate.pose[:, 2] + _alignment_turns(self._place, identifications)
+        self._place = _partition(len(self._reckoning), self._identifications)
         self._estimate = self._optimised(self._estimate.pose, turn)
 
     def fit_noise(self) -> None:
-        """Raise the noise if the residuals of the estimate are larger than it explains."""
+        """Raise the noise if the residuals of the estimate are significantly larger."""
         scale = _fitting_scale(self._scale, self._estimate)
         if scale != self._scale:
             self._scale, self._reckoning = scale, scale_noise(self._unscaled, scale)
@@ -179,29 +170,29 @@ class _Closure:
 
     def take_back_outliers(self, number: int) -> None:
         """Undo and block the identifications that the estimate contradicts."""
-        bad = _outliers(self._place, self._estimate, self._links)
-        if not bad:
+        outliers = _outliers(self._place, self._estimate, self._identifications)
+        if not outliers:
             return
-        self._blocked |= {(q.first, q.second) for q in bad}
-        self._doubts |= {(q.first, q.second): taken_back(q, number) for q in bad}
-        self._links = [q for q in self._links if q not in bad]
-        self._place = _partition(len(self._reckoning), self._links)
+        self._blocked |= {(q.first, q.second) for q in outliers}
+        self._doubts |= {(q.first, q.second): taken_back(q, number) for q in outliers}
+        self._identifications = [q for q in self._identifications if q not in outliers]
+        self._place = _partition(len(self._reckoning), self._identifications)
         self._estimate = self._optimised(self._estimate.pose)
 
     def result(self) -> Closed:
         """The closed run, once nothing more is certain."""
         if self._corridors is not None:
-            # Straight corridors only help to identify; the map shows them as they were measured.
+            # Straight corridors only help to identify; the map has them as they were measured.
             self._corridors = None
             self._estimate = self._optimised(self._estimate.pose)
-        made = self._links + standing_doubts(self._place, self._doubts)
-        return Closed(self._reckoning, self._place, self._estimate, made, self._grid)
+        identifications = self._identifications + standing_doubts(self._place, self._doubts)
+        return Closed(self._reckoning, self._place, self._estimate, identifications, self._grid)
 
-    def _scene(self) -> MapState:
+    def _map_state(self) -> MapState:
         """The state of the map at the present estimate.
 
-        If the map repeats itself, likeness is weak evidence and position must decide: the estimate
-        is first improved by holding grid corridors straight.
+        If the map repeats itself, branches and corridors are weak evidence and position must
+        decide: the estimate is first improved by constraining grid corridors to be straight.
         """
         state = map_state(self._reckoning, self._place, self._estimate)
         if self._grid is None or not state.common.lattice.repeats:
@@ -224,8 +215,7 @@ class _Closure:
 def _straight(
     corridors: GridCorridors | None, grid: GridHeadings, state: MapState, estimate: Estimate
 ) -> GridCorridors:
-    """Corridors along the grid; if they are known already, with their deviations from the grid
-    estimated anew."""
+    """Corridors along the grid; known ones with their deviations from the grid estimated again."""
     if corridors is None:
         return grid_corridors(state.reckoning, grid, estimate.pose[:, 2], state.common.core_m)
     return with_shown_spread(corridors, estimate, grid)
@@ -240,16 +230,15 @@ def map_state(reckoning: DeadReckoning, place: IntArray, estimate: Estimate) -> 
     return MapState(reckoning, places, estimate.xy, common, branches_of(places, common))
 
 
-def _fitting_scale(now: float, estimate: Estimate) -> float:
-    """Factor on the noise, raised to fit the residuals if these are significantly too large (χ²
-    gate)."""
+def _fitting_scale(scale: float, estimate: Estimate) -> float:
+    """The factor on the noise, raised if residuals are significantly too large (χ² gate)."""
     if estimate.reduced_chi2 * estimate.freedom > LIKELIHOOD.gate_chi2(estimate.freedom):
-        return now * float(np.sqrt(estimate.reduced_chi2))
-    return now
+        return scale * float(np.sqrt(estimate.reduced_chi2))
+    return scale
 
 
 def _blocked(found: Candidates, blocked: set[tuple[int, int]], place: IntArray) -> BoolArray:
-    """(k,) whether a candidate would rejoin two passes whose identification was taken back."""
+    """(k,) whether a candidate's identification was taken back before."""
     pairs = {frozenset((int(place[i]), int(place[j]))) for i, j in blocked}
     ends = zip(found.a.tolist(), found.b.tolist(), strict=True)
     return np.array([frozenset(pair) in pairs for pair in ends], bool)
@@ -262,129 +251,126 @@ def _partition(count: int, links: list[Identification]) -> IntArray:
     return connected(i, j, count)
 
 
-def _turns(place: IntArray, new: list[Identification]) -> FloatArray:
-    """(p,) rotations that align the branches of newly joined places [rad], propagated along the
-    links.
-
-    place: (p,) before they were joined.
-    """
-    beside: dict[int, list[tuple[int, float]]] = {}
-    for q in new:
+def _alignment_turns(place: IntArray, identifications: list[Identification]) -> FloatArray:
+    """(p,) rotations that align the branches of newly identified places [rad], propagated along the
+    identifications. place: (p,) before these."""
+    links_of: dict[int, list[tuple[int, float]]] = {}
+    for q in identifications:
         a, b = int(place[q.first]), int(place[q.second])
-        beside.setdefault(a, []).append((b, q.turn_rad))
-        beside.setdefault(b, []).append((a, -q.turn_rad))
+        links_of.setdefault(a, []).append((b, q.turn_rad))
+        links_of.setdefault(b, []).append((a, -q.turn_rad))
     turn = np.zeros(int(place.max(initial=-1)) + 1)
-    known: set[int] = set()
-    for root in sorted(beside):
-        if root in known:
+    visited: set[int] = set()
+    for root in sorted(links_of):
+        if root in visited:
             continue
-        known.add(root)
-        front = [root]
-        while front:
-            a = front.pop()
-            for b, more in beside[a]:
-                if b not in known:
-                    known.add(b)
-                    turn[b] = turn[a] + more
-                    front.append(b)
-    out: FloatArray = turn[place]
-    return out
+        visited.add(root)
+        stack = [root]
+        while stack:
+            a = stack.pop()
+            for b, step in links_of[a]:
+                if b not in visited:
+                    visited.add(b)
+                    turn[b] = turn[a] + step
+                    stack.append(b)
+    return np.asarray(turn[place])
 
 
-def _certain(places: Places, found: Candidates, least: float) -> list[Identification]:
-    """The candidates whose log odds against all candidates that they exclude reach `least`, best
-    first."""
-    total, likely = found.total, _Likely.of(places, found)
-    out = []
+def _certain(places: Places, found: Candidates, least_odds: float) -> list[Identification]:
+    """The candidates whose log odds against all they exclude reach `least_odds`, best first."""
+    total, likely = found.total, _LikelyCandidates.of(places, found)
+    certain = []
     for k in sorted(likely.ends, key=lambda row: (-total[row], row)):
-        if total[k] < least:
+        if total[k] < least_odds:
             break
         rivals = [0.0, *total[sorted(likely.against(k))].tolist()]
-        if total[k] - np.logaddexp.reduce(rivals) >= least:
-            out.append(_answer(places, found, k, float(total[k]), reason=AGREE, accepted=True))
-    return out
+        if total[k] - np.logaddexp.reduce(rivals) >= least_odds:
+            certain.append(
+                _identification(places, found, k, float(total[k]), reason=AGREE, accepted=True)
+            )
+    return certain
 
 
 @dataclass(frozen=True, slots=True)
-class _Likely:
+class _LikelyCandidates:
     """Candidates within the gate with positive log odds.
 
     ends: the two places of each, by its row; rows: the inverse; by_place: the rows of each place;
-    known: pairs of places that may be one, within the gate or not; beside: the places that
-    corridors lead to from each place.
+    possible: pairs of places with positive log odds, within the gate or not; neighbours: the places
+    that corridors lead to from each place.
     """
 
     ends: dict[int, tuple[int, int]]
     rows: dict[tuple[int, int], int]
     by_place: dict[int, list[int]]
-    known: set[tuple[int, int]]
-    beside: list[set[int]]
+    possible: set[tuple[int, int]]
+    neighbours: list[set[int]]
 
     @classmethod
-    def of(cls, places: Places, found: Candidates) -> _Likely:
-        maybe = np.flatnonzero(found.total >= 0.0)
-        known = set(zip(found.a[maybe].tolist(), found.b[maybe].tolist(), strict=True))
-        likely = maybe[found.fits[maybe]].tolist()
+    def of(cls, places: Places, found: Candidates) -> _LikelyCandidates:
+        positive = np.flatnonzero(found.total >= 0.0)
+        possible = set(zip(found.a[positive].tolist(), found.b[positive].tolist(), strict=True))
+        likely = positive[found.fits[positive]].tolist()
         ends = {k: (int(found.a[k]), int(found.b[k])) for k in likely}
         by_place: dict[int, list[int]] = {}
         for k, pair in ends.items():
             for place in pair:
                 by_place.setdefault(place, []).append(k)
-        beside = [set(row) - {NOWHERE} for row in places.next_place.tolist()]
-        return cls(ends, {pair: k for k, pair in ends.items()}, by_place, known, beside)
+        neighbours = [set(row) - {NOWHERE} for row in places.next_place.tolist()]
+        return cls(ends, {pair: k for k, pair in ends.items()}, by_place, possible, neighbours)
 
     def against(self, row: int) -> set[int]:
-        """Rows of the candidates that this one excludes, or that are excluded with it.
+        """Rows of the candidates that this one excludes, directly or through its neighbours.
 
-        Corridors support an identification as far as their other ends are one place, too. If those
-        may be other places, the whole stretch may lie along another one, which this identification
-        excludes though it shares no place with the ones that say so.
+        Corridors support an identification if the places at their other ends are one, too. If these
+        may be other places, the whole stretch may lie along another stretch, which the
+        identification excludes even without a common place.
         """
-        out = self._rivals(row)
-        for other in self._supporting(row):
-            out |= self._rivals(other) - {row}
-        return out
+        excluded = self._rivals(row)
+        for supporting in self._supporting(row):
+            excluded |= self._rivals(supporting) - {row}
+        return excluded
 
     def _rivals(self, row: int) -> set[int]:
-        """Rows that identify one of the two places with a third one that is not the other."""
+        """Rows that identify one of the two places with a third one that cannot be the other."""
         a, b = self.ends[row]
-        out = set()
-        for mine, other in ((a, b), (b, a)):
-            for r in self.by_place[mine]:
-                third = sum(self.ends[r]) - mine
-                if third != other and (min(other, third), max(other, third)) not in self.known:
-                    out.add(r)
-        return out
+        rivals = set()
+        for shared, other in ((a, b), (b, a)):
+            for candidate in self.by_place[shared]:
+                third = sum(self.ends[candidate]) - shared
+                if third != other and (min(other, third), max(other, third)) not in self.possible:
+                    rivals.add(candidate)
+        return rivals
 
     def _supporting(self, row: int) -> list[int]:
         """Rows that identify neighbours of the two places with each other."""
         a, b = self.ends[row]
-        pairs = product(self.beside[a] - {b}, self.beside[b] - {a})
+        pairs = product(self.neighbours[a] - {b}, self.neighbours[b] - {a})
         rows = (self.rows.get((min(pair), max(pair))) for pair in pairs)
         return [r for r in rows if r is not None and r != row]
 
 
 def _together(
-    state: MapState, found: Candidates, estimate: Estimate, least: float
+    state: MapState, found: Candidates, estimate: Estimate, least_odds: float
 ) -> tuple[list[Identification], dict[tuple[int, int], str]]:
-    """The candidates that are certain only jointly; or, by their passes, why these were refused."""
-    agreed = agreeing(estimate, found, state.common, least_odds=least)
-    rows = agreed.rows.tolist()
-    if agreed.reason:
-        firsts = state.places.first
-        ends = [(int(firsts[found.a[k]]), int(firsts[found.b[k]])) for k in rows]
-        return [], {(min(pair), max(pair)): agreed.reason for pair in ends}
+    """The candidates that are certain only jointly; or the reason for their refusal, by passes."""
+    agreement = agreeing(estimate, found, state.common, least_odds=least_odds)
+    rows = agreement.rows.tolist()
+    if agreement.reason:
+        first_pass = state.places.first
+        ends = [(int(first_pass[found.a[k]]), int(first_pass[found.b[k]])) for k in rows]
+        return [], {(min(pair), max(pair)): agreement.reason for pair in ends}
     answers = [
-        _answer(state.places, found, row, value, reason=TOGETHER, accepted=True)
-        for row, value in zip(rows, agreed.odds.tolist(), strict=True)
+        _identification(state.places, found, row, value, reason=TOGETHER, accepted=True)
+        for row, value in zip(rows, agreement.odds.tolist(), strict=True)
     ]
     return answers, {}
 
 
-def _answer(
+def _identification(
     places: Places, found: Candidates, row: int, odds: float, *, reason: str, accepted: bool
 ) -> Identification:
-    """The answer for a candidate."""
+    """A candidate as an accepted or refused identification of two passes."""
     i, j = int(places.first[found.a[row]]), int(places.first[found.b[row]])
     turn = float(found.around.turn[row])
     if i > j:
@@ -395,18 +381,20 @@ def _answer(
 def _outliers(
     place: IntArray, estimate: Estimate, links: list[Identification]
 ) -> list[Identification]:
-    """The links to remove: for each place with a pass whose observation the estimate rejects (χ²
-    gate), the weakest links that split the place in two."""
-    bad = set(place[estimate.sighting[estimate.sighting_chi2 > LIKELIHOOD.gate_chi2(3)]].tolist())
-    of_place: dict[int, list[Identification]] = {p: [] for p in sorted(bad)}
+    """The identifications to take back: for each place with an observation that the estimate
+    rejects (χ² gate), the weakest ones that split the place in two."""
+    suspect = set(
+        place[estimate.sighting[estimate.sighting_chi2 > LIKELIHOOD.gate_chi2(3)]].tolist()
+    )
+    links_of: dict[int, list[Identification]] = {p: [] for p in sorted(suspect)}
     for q in links:
-        if int(place[q.first]) in bad:
-            of_place[int(place[q.first])].append(q)
-    return [q for mine in of_place.values() for q in weakest_cut(mine)]
+        if int(place[q.first]) in suspect:
+            links_of[int(place[q.first])].append(q)
+    return [q for links_here in links_of.values() for q in weakest_cut(links_here)]
 
 
 def weakest_cut(links: list[Identification]) -> list[Identification]:
-    """The links of a place between its last two parts when parts are merged in order of their
+    """The links between the last two parts of a place, if parts are merged in order of their
     strongest link (single linkage)."""
     passes = sorted({i for q in links for i in (q.first, q.second)})
     part = {i: i for i in passes}
@@ -422,28 +410,28 @@ def weakest_cut(links: list[Identification]) -> list[Identification]:
     return []
 
 
-def _doubted(
-    before: dict[tuple[int, int], Identification],
+def _doubts_of_round(
+    earlier: dict[tuple[int, int], Identification],
     places: Places,
     found: Candidates,
-    least: float,
+    least_odds: float,
     number: int,
 ) -> dict[tuple[int, int], Identification]:
-    """Doubtful identifications by their passes: earlier ones, and the candidates of this round.
+    """Refused identifications by their passes: earlier ones, and the candidates of this round.
 
     An earlier one that is no candidate any more was excluded by the estimate.
     """
-    out = {
+    doubts = {
         pair: q if q.reason in (TORN, APART) else replace(q, reason=APART, round=number)
-        for pair, q in before.items()
+        for pair, q in earlier.items()
     }
     total = found.total
     for k in np.flatnonzero(found.position + found.around.branches > 0).tolist():
         reason = UNSURE
         if found.around.conflict[k] > 2:
             reason = DISAGREE
-        elif total[k] + found.aliasing_penalty[k] >= least > total[k]:
+        elif total[k] + found.aliasing_penalty[k] >= least_odds > total[k]:
             reason = COMMON
-        q = _answer(places, found, k, float(total[k]), reason=reason, accepted=False)
-        out[q.first, q.second] = replace(q, round=number)
-    return out
+        q = _identification(places, found, k, float(total[k]), reason=reason, accepted=False)
+        doubts[q.first, q.second] = replace(q, round=number)
+    return doubts

@@ -1,8 +1,9 @@
 """Identifications that are certain only jointly (joint compatibility).
 
-At the end of a long loop several junctions are revisited of which none is certain by itself; but if
-one is correct, all others lie where they should. Neira, Tardós: Data Association in Stochastic
-Mapping Using the Joint Compatibility Test (IEEE T-RA 17(6), 2001), here with odds instead of gates.
+At the end of a long loop several junctions are revisited, and none is certain by itself. But if one
+is correct, all others lie at their expected positions. Neira, Tardós: Data Association in
+Stochastic Mapping Using the Joint Compatibility Test (IEEE T-RA 17(6), 2001), here with odds
+instead of gates.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..arrays import BoolArray, FloatArray, IntArray
+from ..columns import take
 from ..passes import ONE_WAY_RAD
 from ..posegraph.marginals import Marginals
 from .candidates import Candidates
@@ -25,14 +27,14 @@ STEP_OFF = "sure together with others, but all might be one step of the map's pa
 
 
 MOST = 30
-"""Number of candidates, the best, that are considered jointly; the time grows with its cube."""
+"""Number of candidates that are considered jointly, the best; the time grows with its cube."""
 
 
 class Agreement(NamedTuple):
     """Candidates that are jointly certain, or a set that was refused.
 
     rows: (k,) of the candidates; odds: (k,) log odds [nats] of each given the others, empty if
-    refused; reason: of the refusal, empty if they are certain or there is no set at all.
+    refused; reason: of the refusal, empty if they are certain or there is no set.
     """
 
     rows: IntArray
@@ -40,11 +42,11 @@ class Agreement(NamedTuple):
     reason: str = ""
 
 
-_NOBODY = Agreement(np.zeros(0, np.int64), np.zeros(0))
+_NO_AGREEMENT = Agreement(np.zeros(0, np.int64), np.zeros(0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Beliefs:
+class _JointShifts:
     """Joint Gaussian of the shifts between the two places of each candidate, given those accepted.
 
     shift: (2 k,) [m]; cov: (2 k, 2 k) [m²] without the noise of the two centres; alike: (k,) log
@@ -60,17 +62,15 @@ class _Beliefs:
     def odds(self) -> FloatArray:
         """(k,) log odds of each candidate [nats]."""
         k = len(self.alike)
-        own = np.arange(k)
-        blocks = self.cov.reshape(k, 2, k, 2)[own, :, own, :]
+        row = np.arange(k)
+        blocks = self.cov.reshape(k, 2, k, 2)[row, :, row, :]
         cov = blocks + 2 * self.common.centre_sigma**2 * np.eye(2)
         shift = self.shift.reshape(k, 2)
         odds, _ = position_odds(self.common, shift, cov, self.ground)
-        out: FloatArray = among_neighbours(self.common, odds, shift, cov) + self.alike
-        return out
+        return np.asarray(among_neighbours(self.common, odds, shift, cov) + self.alike)
 
-    def given(self, row: int) -> _Beliefs:
-        """The beliefs given that this candidate is one place: a Kalman update with the measurement
-        "no shift"."""
+    def given(self, row: int) -> _JointShifts:
+        """The shifts if a candidate is one place: a Kalman update with shift 0."""
         at = slice(2 * row, 2 * row + 2)
         noise = 2 * self.common.centre_sigma**2 * np.eye(2)
         gain = np.linalg.solve(self.cov[at, at] + noise, self.cov[at]).T
@@ -80,86 +80,84 @@ class _Beliefs:
 
 
 def agreeing(
-    estimate: Estimate,
-    found: Candidates,
-    common: Background,
-    *,
-    least_odds: float,
+    estimate: Estimate, found: Candidates, common: Background, *, least_odds: float
 ) -> Agreement:
     """The candidates that are jointly certain: their joint log odds reach `least_odds` [nats].
 
-    Refused, with the reason, if another set that excludes one of them is nearly as likely, or if
-    the map repeats itself and all might be one lattice step off.
+    They are refused if another set that excludes one of them is nearly as likely, or if the map
+    repeats itself and all may be one lattice step off.
     """
     rows = np.sort(np.argsort(-found.total, kind="stable")[:MOST])
     if len(rows) < 2:
-        return _NOBODY
+        return _NO_AGREEMENT
     a, b = found.a[rows], found.b[rows]
-    start = _Beliefs(*_shifts(estimate, a, b), found.alike[rows], found.ground[rows], common)
+    prior = _JointShifts(
+        *_shifts(estimate, a, b), found.alike[rows], take(found.ground, rows), common
+    )
     shared, excluded = _sharing(a, b)
     # Candidates that share a place are not independent; each set holds one of them.
-    sets = [_grown(start, found.around.support[rows], seed, shared) for seed in range(len(rows))]
-    worth = np.array([value for value, _ in sets])
-    best = int(worth.argmax())
+    sets = [_grow(prior, found.around.support[rows], seed, shared) for seed in range(len(rows))]
+    set_odds = np.array([value for value, _ in sets])
+    best = int(set_odds.argmax())
     members = np.sort(np.array(sets[best][1]))
-    if len(members) < 2 or worth[best] < least_odds:
-        return _NOBODY
+    if len(members) < 2 or set_odds[best] < least_odds:
+        return _NO_AGREEMENT
     rivals = [value for value, other in sets if excluded[np.ix_(members, np.array(other))].any()]
-    if worth[best] - max(rivals, default=-np.inf) < EVIDENCE.lead:
+    if set_odds[best] - max(rivals, default=-np.inf) < EVIDENCE.lead:
         return Agreement(rows[members], np.zeros(0), RIVALS)
-    if _one_step_off(start, members) > -EVIDENCE.lead:
+    if _one_step_off(prior, members) > -EVIDENCE.lead:
         return Agreement(rows[members], np.zeros(0), STEP_OFF)
-    each = [_odds_given(start, k, members) for k in members.tolist()]
-    return Agreement(rows[members], np.array(each))
+    odds = [_odds_given(prior, k, members) for k in members.tolist()]
+    return Agreement(rows[members], np.array(odds))
 
 
-def _one_step_off(start: _Beliefs, members: IntArray) -> float:
+def _one_step_off(prior: _JointShifts, members: IntArray) -> float:
     """Log odds [nats] of the most likely alternative in a map that repeats itself: a single member,
     or all of them, shifted by one lattice step."""
-    lattice = start.common.lattice
+    lattice = prior.common.lattice
     if not lattice.repeats:
         return -np.inf
     rows = (2 * members[:, None] + np.arange(2)).ravel()
-    cov = start.cov[np.ix_(rows, rows)] + 2 * start.common.centre_sigma**2 * np.eye(len(rows))
+    cov = prior.cov[np.ix_(rows, rows)] + 2 * prior.common.centre_sigma**2 * np.eye(len(rows))
     step_m = np.hypot(*lattice.steps.T)
-    # A map that is not optimised yet may be bent: steps in all directions as well.
-    ways = int(np.ceil(2 * np.pi / ONE_WAY_RAD))
-    angle = np.arange(ways) * (2 * np.pi / ways)
-    turned = step_m[:, None, None] * np.stack([np.cos(angle), np.sin(angle)], 1)
-    step = np.concatenate([lattice.steps, turned.reshape(-1, 2)])
-    odds = np.log(np.concatenate([lattice.share, lattice.share.repeat(ways)]))
+    # The map may still be bent: steps in all directions as well.
+    directions = int(np.ceil(2 * np.pi / ONE_WAY_RAD))
+    angle = np.arange(directions) * (2 * np.pi / directions)
+    rotated = step_m[:, None, None] * np.stack([np.cos(angle), np.sin(angle)], 1)
+    step = np.concatenate([lattice.steps, rotated.reshape(-1, 2)])
+    odds = np.log(np.concatenate([lattice.share, lattice.share.repeat(directions)]))
     information = np.linalg.inv(cov)
-    push = information @ start.shift[rows]
+    information_shift = information @ prior.shift[rows]
     worst = -np.inf
     for group in (*np.eye(len(members), dtype=bool), np.ones(len(members), bool)):
-        mine = group.repeat(2)
+        in_group = group.repeat(2)
         # Conditional distribution of the mean shift of the group, given the others.
         mean = np.tile(np.eye(2), int(group.sum())) / group.sum()
-        own_cov = np.linalg.inv(information[np.ix_(mine, mine)])
-        at, known = mean @ own_cov @ push[mine], np.linalg.inv(mean @ own_cov @ mean.T)
-        further = np.einsum("ri,ij,rj->r", step - 2 * at, known, step)
-        worst = max(worst, float((odds - 0.5 * further).max()))
+        group_cov = np.linalg.inv(information[np.ix_(in_group, in_group)])
+        mean_shift = mean @ group_cov @ information_shift[in_group]
+        precision = np.linalg.inv(mean @ group_cov @ mean.T)
+        chi2 = np.einsum("ri,ij,rj->r", step - 2 * mean_shift, precision, step)
+        worst = max(worst, float((odds - 0.5 * chi2).max()))
     return worst
 
 
 def _sharing(a: IntArray, b: IntArray) -> tuple[BoolArray, BoolArray]:
-    """(k, k) each: whether two candidates share a place; and whether they do and exclude each
-    other.
+    """(k, k) each: whether two candidates share a place; and whether they also exclude each other.
 
     "a is b" and "a is c" exclude each other unless "b is c" is a candidate as well.
     """
     shared = (a[:, None] == a) | (b[:, None] == b) | (a[:, None] == b) | (b[:, None] == a)
-    known = {frozenset(pair) for pair in zip(a.tolist(), b.tolist(), strict=True)}
+    candidates = {frozenset(pair) for pair in zip(a.tolist(), b.tolist(), strict=True)}
     excluded = np.zeros_like(shared)
     for i, j in np.argwhere(shared).tolist():
-        third = frozenset((a[i], b[i])) ^ frozenset((a[j], b[j]))
-        excluded[i, j] = i != j and third not in known
+        differing = frozenset((a[i], b[i])) ^ frozenset((a[j], b[j]))
+        excluded[i, j] = i != j and differing not in candidates
     return shared, excluded
 
 
 def _shifts(estimate: Estimate, a: IntArray, b: IntArray) -> tuple[FloatArray, FloatArray]:
     """(2 k,) positions of places a minus those of b [m], and their joint covariance (2 k, 2 k)."""
-    nodes, at = np.unique(estimate.node[np.concatenate([a, b])], return_inverse=True)
+    nodes, column = np.unique(estimate.node[np.concatenate([a, b])], return_inverse=True)
     n, k = len(nodes), len(a)
     marginals = Marginals.of(estimate.graph, estimate.solution)
     first, second = np.divmod(np.arange(n * n), n)
@@ -167,38 +165,38 @@ def _shifts(estimate: Estimate, a: IntArray, b: IntArray) -> tuple[FloatArray, F
     full = cross[:, :2, :2].reshape(n, n, 2, 2).transpose(0, 2, 1, 3).reshape(2 * n, 2 * n)
     difference = np.zeros((2 * k, 2 * n))
     for axis in (0, 1):
-        difference[2 * np.arange(k) + axis, 2 * at[:k] + axis] = 1.0
-        difference[2 * np.arange(k) + axis, 2 * at[k:] + axis] -= 1.0
+        difference[2 * np.arange(k) + axis, 2 * column[:k] + axis] = 1.0
+        difference[2 * np.arange(k) + axis, 2 * column[k:] + axis] -= 1.0
     return (estimate.xy[a] - estimate.xy[b]).ravel(), difference @ full @ difference.T
 
 
-def _grown(
-    start: _Beliefs, support: FloatArray, seed: int, shared: BoolArray
+def _grow(
+    prior: _JointShifts, support: FloatArray, seed: int, shared: BoolArray
 ) -> tuple[float, list[int]]:
-    """Joint log odds of the set that grows greedily from candidate `seed`, and its members: always
-    by the most likely candidate that shares no place with a member (shared: (k, k), `_sharing`).
+    """Joint log odds of the set that grows greedily from candidate `seed`, and its members. The
+    next one is the most likely candidate that shares no place with a member (shared: (k, k)).
 
-    support: (k,) part of the odds that comes from the corridors around. It counts once, for the
-    seed, because the members have these corridors in common.
+    support: (k,) part of the odds by the corridors around. It counts once, for the seed, because
+    the members have these corridors in common.
     """
-    value, members, beliefs = float(start.odds()[seed]), [seed], start.given(seed)
+    total_odds, members, shifts = float(prior.odds()[seed]), [seed], prior.given(seed)
     allowed = ~shared[seed]
     while allowed.any():
-        odds = np.where(allowed, beliefs.odds() - support, -np.inf)
+        odds = np.where(allowed, shifts.odds() - support, -np.inf)
         best = int(odds.argmax())
         if odds[best] < EVIDENCE.lead:
             break
-        value += float(odds[best])
+        total_odds += float(odds[best])
         members.append(best)
         allowed &= ~shared[best]
-        beliefs = beliefs.given(best)
-    return value, members
+        shifts = shifts.given(best)
+    return total_odds, members
 
 
-def _odds_given(start: _Beliefs, row: int, members: IntArray) -> float:
+def _odds_given(prior: _JointShifts, row: int, members: IntArray) -> float:
     """Log odds of one member given that all others are true [nats]."""
-    beliefs = start
+    shifts = prior
     for other in members.tolist():
         if other != row:
-            beliefs = beliefs.given(other)
-    return float(beliefs.odds()[row])
+            shifts = shifts.given(other)
+    return float(shifts.odds()[row])

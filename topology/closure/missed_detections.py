@@ -32,13 +32,13 @@ class DrivenBySettings:
     """When a place is a phantom."""
 
     straight_gain: float = 4.5
-    """Log odds [nats] of being a phantom added for a place with two opposite branches only."""
+    """Log odds [nats] of a phantom that are added for a place with two opposite branches only."""
     least_odds: float = 2.0
-    """Log odds [nats] of being a phantom at which a place is removed."""
+    """Log odds [nats] of a phantom at which a place is removed."""
     least_miss_rate: float = 0.1
     """Lower bound of the miss rate of a junction that was missed once: causes persist."""
     least_phantom_rate: float = 0.01
-    """Lower bound of the rate at which a junction seen once is spurious, whatever the run shows."""
+    """Lower bound of the rate of spurious junctions, which a run may show too few of."""
 
 
 DRIVEN_BY = DrivenBySettings()
@@ -68,102 +68,92 @@ def correct_detections(
 
     place: (p,) of each pass, numbered from 0 by first visit; resolution_m: of the detector [m].
     """
-    one = blurred(reckoning, place, estimate, resolution_m)
-    fair = one.place[place] == place
-    kept, number = _renumbered(one.place == np.arange(len(estimate.xy)))
-    place, xy = number[one.place[place]], one.xy[kept]
+    merged = blurred(reckoning, place, estimate, resolution_m)
+    fair = merged.place[place] == place
+    kept, number = _renumbered(merged.place == np.arange(len(estimate.xy)))
+    place, xy = number[merged.place[place]], merged.xy[kept]
     # One drive-by is one visit.
     again = np.zeros(len(place), bool)
     again[1:] = ~fair[1:] & (place[1:] == place[:-1]) & one_drive_by(reckoning, resolution_m)
     place, turn = np.where(again, NOWHERE, place), estimate.pose[:, 2]
 
     def driven(place: IntArray, xy: FloatArray) -> tuple[Places, Visits, Visits]:
-        """The places, and the visits to them, detected and undetected."""
+        """The places, and the detected and the undetected visits to them."""
         places = tabulate(reckoning, np.where(fair, place, NOWHERE), turn)
         seen = visits_of(reckoning, place, fair, estimate, xy)
         return places, seen, driven_by(odometry, seen, xy, places)
 
-    places, _, passed = driven(place, xy)
-    unseen = np.bincount(passed.vertex, minlength=len(places))
-    doubtful = phantoms(reckoning, places, unseen)
-    # A map needs a place: where a run shows no other, doubtful ones stay.
-    real, number = _renumbered(~doubtful | doubtful.all())
+    places, _, undetected = driven(place, xy)
+    unseen = np.bincount(undetected.vertex, minlength=len(places))
+    is_phantom = phantoms(reckoning, places, unseen)
+    # A map needs a place: if all are phantoms, they stay.
+    real, number = _renumbered(~is_phantom | is_phantom.all())
     place, xy = np.where(place >= 0, number[place], NOWHERE), xy[real]
     visits = joined(driven(place, xy)[1:])
     visits = take(visits, np.argsort(visits.time_ns, kind="stable"))
-    return CorrectedPlaces(place, fair, turn, xy, visits, kept[real], one.identifications)
+    return CorrectedPlaces(place, fair, turn, xy, visits, kept[real], merged.identifications)
 
 
 def _renumbered(keep: BoolArray) -> tuple[IntArray, IntArray]:
-    """The rows to keep, and the new number of each row, NOWHERE for the others."""
+    """Rows to keep, by a mask (n,), and (n,) the new number of each row, NOWHERE for the others."""
     number = np.where(keep, np.cumsum(keep) - 1, NOWHERE)
     return np.flatnonzero(keep), number
 
 
-def driven_by(
-    odometry: Odometry,
-    visits: Visits,
-    xy: FloatArray,
-    places: Places,
-) -> Visits:
-    """Undetected visits of places at `xy` (n, 2) [m], on the track between two detected ones. None
-    of `visits.vertex` is negative.
+def driven_by(odometry: Odometry, visits: Visits, xy: FloatArray, places: Places) -> Visits:
+    """Undetected visits of places at `xy` (n, 2) [m], between the detected `visits`.
 
     The whole track is sampled and each sample assigned to its nearest place within `junction_m`
-    (`DRAWING`). A run of consecutive such samples is one event, at the sample nearest to a place:
-    if the track passes two places at once, as in overlapping layers of an unclosed loop, it is not
-    known which one was passed. O(way / step · log n).
+    (`DRAWING`). Consecutive such samples are one event, at the sample nearest to a place: if the
+    track passes two places at once, as in overlapping layers of an unclosed loop, it is not known
+    which one was passed. O(way / step · log n).
     """
     first = np.flatnonzero(np.diff(visits.piece) == 0)
     track = draw_track(odometry, visits, xy, first)
-    found = cKDTree(xy).query(track.xy, distance_upper_bound=DRAWING.junction_m)
-    distance, near = np.asarray(found[0], np.float64), np.asarray(found[1], np.int64)
-    hit = np.flatnonzero(np.isfinite(distance))
-    fresh = np.ones(len(hit), bool)
-    fresh[1:] = (np.diff(hit) != 1) | (np.diff(track.owner[hit]) != 0)
-    head = np.flatnonzero(fresh)
-    best = hit[np.lexsort((distance[hit], np.cumsum(fresh)))[head]]
-    begin, end = hit[head], hit[np.append(head[1:], len(hit))[: len(head)] - 1]
-    # The visits at the two ends are known already.
+    nearest = cKDTree(xy).query(track.xy, distance_upper_bound=DRAWING.junction_m)
+    distance, near = np.asarray(nearest[0], np.float64), np.asarray(nearest[1], np.int64)
+    hits = np.flatnonzero(np.isfinite(distance))
+    begins_event = np.ones(len(hits), bool)
+    begins_event[1:] = (np.diff(hits) != 1) | (np.diff(track.owner[hits]) != 0)
+    starts = np.flatnonzero(begins_event)
+    events = hits[np.lexsort((distance[hits], np.cumsum(begins_event)))[starts]]
+    begin, end = hits[starts], hits[np.append(starts[1:], len(hits))[: len(starts)] - 1]
+    # The visits at the two ends are detected ones.
     at_start = begin == track.offsets[track.owner[begin]]
     at_end = end == track.offsets[track.owner[end] + 1] - 1
-    best = best[~(at_start | at_end)]
-    row = best[_along_branches(track, places, near, best)]
-    place, turn = near[row], track.turn[row]
-    seconds, _ = seconds_at(odometry, track.way[row])
+    events = events[~(at_start | at_end)]
+    samples = events[_along_branches(track, places, near, events)]
+    place, turn = near[samples], track.turn[samples]
+    seconds, _ = seconds_at(odometry, track.way[samples])
     return Visits(
         time_ns=odometry.time_ns[0] + np.rint(1e9 * seconds).astype(np.int64),
         vertex=place,
-        seen=np.zeros(len(row), bool),
+        seen=np.zeros(len(samples), bool),
         pose=np.column_stack([xy[place], turn]),
-        # The place in the odometry's frame at that time: the turn taken back.
-        centre=track.odom[row] + turned(xy[place] - track.xy[row], -turn),
-        piece=visits.piece[first[track.owner[row]]],
+        # The place in the odometry frame at that time.
+        centre=track.odom[samples] + turned(xy[place] - track.xy[samples], -turn),
+        piece=visits.piece[first[track.owner[samples]]],
     )
 
 
 def _along_branches(track: DrawnTrack, places: Places, near: IntArray, row: IntArray) -> BoolArray:
-    """(k,) whether the place has a branch where the robot came from or where it went."""
+    """(k,) whether the nearest places of track samples `row` have a branch where the robot came
+    from or where it went."""
     reach = int(np.ceil(BEYOND_M / STEP_M))
     low, high = track.offsets[track.owner[row]], track.offsets[track.owner[row] + 1] - 1
     heading = places.heading[near[row]]
     fits = np.zeros(len(row), np.int64)
-    for other in (np.maximum(row - reach, low), np.minimum(row + reach, high)):
-        step = track.xy[other] - track.xy[row]
-        off = np.abs(wrap(heading - np.arctan2(step[:, 1], step[:, 0])[:, None]))
-        fits += np.where(np.isfinite(off), off, np.inf).min(axis=1) < DRIVEN_RAD
-    result: BoolArray = fits >= 1
-    return result
+    for beyond in (np.maximum(row - reach, low), np.minimum(row + reach, high)):
+        step = track.xy[beyond] - track.xy[row]
+        turn_rad = np.abs(wrap(heading - np.arctan2(step[:, 1], step[:, 0])[:, None]))
+        fits += np.where(np.isfinite(turn_rad), turn_rad, np.inf).min(axis=1) < DRIVEN_RAD
+    return np.asarray(fits >= 1)
 
 
-def phantoms(
-    reckoning: DeadReckoning,
-    places: Places,
-    unseen: IntArray,
-) -> BoolArray:
-    """(n,) whether a place is more likely spurious than missed each time it was passed undetected.
+def phantoms(reckoning: DeadReckoning, places: Places, unseen: IntArray) -> BoolArray:
+    """(n,) whether a place is more likely spurious than missed by all undetected passes.
 
-    unseen: (n,) times each place was passed without a detection.
+    unseen: (n,) number of passes by each place without a detection.
     """
     noise = reckoning.noise
     miss = max(2 * noise.miss_rate, DRIVEN_BY.least_miss_rate)
@@ -175,24 +165,19 @@ def phantoms(
         opposite = np.abs(np.abs(wrap(first_two[:, 1] - first_two[:, 0])) - np.pi)
         straight = (count == 2) & (opposite < ONE_WAY_RAD)
         odds = odds + DRIVEN_BY.straight_gain * straight
-    result: BoolArray = (odds > DRIVEN_BY.least_odds) & (unseen > 0)
-    return result
+    return np.asarray((odds > DRIVEN_BY.least_odds) & (unseen > 0))
 
 
 def visits_of(
-    reckoning: DeadReckoning,
-    place: IntArray,
-    fair: BoolArray,
-    estimate: Estimate,
-    xy: FloatArray,
+    reckoning: DeadReckoning, place: IntArray, fair: BoolArray, estimate: Estimate, xy: FloatArray
 ) -> Visits:
-    """The visits of detected places. A pass that does not show its place correctly (`fair` (p,)) is
+    """The visits of detected places. A pass that does not show its place correctly (fair: (p,)) is
     moved to the place's position."""
     row = np.flatnonzero(place >= 0)
     pose, centre = estimate.pose[row].copy(), reckoning.passes.centre[row].copy()
-    off = np.where(fair[row, None], 0.0, xy[place[row]] - pose[:, :2])
-    pose[:, :2] += off
-    centre += turned(off, -pose[:, 2])
+    shift = np.where(fair[row, None], 0.0, xy[place[row]] - pose[:, :2])
+    pose[:, :2] += shift
+    centre += turned(shift, -pose[:, 2])
     return Visits(
         time_ns=reckoning.passes.time_ns[row],
         vertex=place[row],

@@ -1,22 +1,18 @@
 """Negative information: ground driven without a detection holds no other junction.
 
-If two places are not one, they are two junctions, and the second lies where position puts it. If
-that is on a corridor driven from the first to its neighbour, the robot would have passed it and
-missed it. Hoffmann, Spranger, Göhring, Jüngel: Making Use of What You Don't See: Negative
-Information in Markov Localization (IROS 2005).
+If two places are not one, they are two junctions. If the second one lies on a corridor driven from
+the first, the robot passed it and must have missed it. Hoffmann, Spranger, Göhring, Jüngel: Making
+Use of What You Don't See: Negative Information in Markov Localization (IROS 2005).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from ..arrays import FloatArray, IntArray
-from ..columns import take
 from .places import NOWHERE, Places
 
 
@@ -24,47 +20,42 @@ from .places import NOWHERE, Places
 class DrivenGround:
     """Straight corridors that were driven from the two places of k pairs.
 
-    along: (k, 2, s, 2) unit vectors in map axes: along the corridors of the second place, and
-    against those of the first, so that the first place is shifted along them if one of the two lies
-    on that corridor of the other. length: (k, 2, s) distance to the next place [m], 0 where there
-    is no such corridor.
+    along: (k, 2, s, 2) unit vectors in map axes, along the corridors of the second place, and
+    against those of the first: the shift of the first place from the second is along one of them if
+    either place lies on that corridor of the other. length: (k, 2, s) distance to the next place
+    [m], 0 where there is no such corridor.
     """
 
     along: FloatArray
     length: FloatArray
 
-    def __getitem__(self, rows: NDArray[Any]) -> DrivenGround:
-        return take(self, rows)
-
     def share(
         self, shift: FloatArray, cov: FloatArray, core_m: float, reach_m: float
     ) -> FloatArray:
-        """(k,) probability that one place lies on ground driven from the other, the larger one of
-        both ways.
+        """(k,) probability that one place lies on ground driven from the other, the larger one.
 
-        shift: (k, 2) [m] with covariance cov (k, 2, 2) [m²]; core_m: ground this near to either end
-        of a corridor is left out, as no other junction is expected there anyway [m]; reach_m:
-        distance from the track up to which junctions are reported [m]. Approximation: normal along
-        a corridor, with the conditional mean and variance given that the place lies beside its
-        line.
+        shift: (k, 2) [m] with covariance cov (k, 2, 2) [m²]; core_m: part of a corridor at either
+        end without other junctions [m], which is left out; reach_m: distance from the track up to
+        which junctions are reported [m]. Approximation: normal along a corridor, with the mean and
+        variance conditional on a place beside its line.
         """
         x, y = shift[:, 0, None, None], shift[:, 1, None, None]
         xx, xy, yy = (cov[:, i, j, None, None] for i, j in ((0, 0), (0, 1), (1, 1)))
         u, v = self.along[..., 0], self.along[..., 1]
-        off, sigma = y * u - x * v, np.sqrt(xx * v * v - 2 * xy * u * v + yy * u * u)
-        low, high = (-reach_m - off) / sigma, (reach_m - off) / sigma
+        lateral, sigma = y * u - x * v, np.sqrt(xx * v * v - 2 * xy * u * v + yy * u * u)
+        low, high = (-reach_m - lateral) / sigma, (reach_m - lateral) / sigma
         beside = np.maximum(ndtr(high) - ndtr(low), np.finfo(np.float64).eps)
         # Mean and variance of a truncated normal, of unit variance if it were not.
-        at_low, at_high = (np.exp(-0.5 * z * z) / np.sqrt(2 * np.pi) for z in (low, high))
-        mean = (at_low - at_high) / beside
-        lost = mean**2 - (low * at_low - high * at_high) / beside
+        density_low, density_high = (np.exp(-0.5 * z * z) / np.sqrt(2 * np.pi) for z in (low, high))
+        mean = (density_low - density_high) / beside
+        lost_variance = mean**2 - (low * density_low - high * density_high) / beside
         slope = ((yy - xx) * u * v + xy * (u * u - v * v)) / sigma
-        far = x * u + y * v + slope * mean
-        spread = xx * u * u + 2 * xy * u * v + yy * v * v - slope**2 * lost
+        along_m = x * u + y * v + slope * mean
+        spread = xx * u * u + 2 * xy * u * v + yy * v * v - slope**2 * lost_variance
         spread = np.sqrt(np.maximum(spread, np.finfo(np.float64).eps))
         end = np.maximum(self.length - core_m, core_m)
-        on = beside * (ndtr((end - far) / spread) - ndtr((core_m - far) / spread))
-        return np.asarray(on.sum(axis=2).max(axis=1))
+        on_ground = beside * (ndtr((end - along_m) / spread) - ndtr((core_m - along_m) / spread))
+        return np.asarray(on_ground.sum(axis=2).max(axis=1))
 
 
 def driven_ground(

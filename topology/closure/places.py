@@ -1,4 +1,4 @@
-"""Tables of all known about each place, given which passes were by the same place."""
+"""Tables of places: branches, visits and corridors, given which passes were by one place."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ NOWHERE = NO_BRANCH
 """Index of an unknown place."""
 
 HOPS = 4
-"""Corridors around a place that are its surroundings: hypotheses grow over so many, and the pairs
-of places compared, and the neighbours of a place (`lattice.py`), are no more typical legs apart."""
+"""Hops over corridors that are the surroundings of a place. Hypotheses grow over so many. Pairs of
+places that are compared, and neighbours (`lattice.py`), are at most so many typical legs apart."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -25,10 +25,10 @@ class Places:
 
     heading: (n, s) [rad] in the map frame; share: (n, s) share of the place's passes that reported
     the branch, 0 for one known from the track alone; visits: (n,) number of passes; confidence:
-    (n,) mean over its passes; first: (n,) its first pass. next_place, next_slot: (n, s) where the
-    corridor of the slot leads, NOWHERE if it was not driven; length: (n, s) of that leg [m];
-    driven: (n, s) times driven there; tried: (n, s) times driven, wherever it led. entry: (p,) slot
-    by which each pass arrived.
+    (n,) mean over its passes; first: (n,) its first pass. next_place, next_slot: (n, s) other end
+    of the corridor of the slot, NOWHERE if it was not driven; length: (n, s) of that leg [m];
+    driven: (n, s) number of legs to this end; tried: (n, s) number of legs to any end. entry: (p,)
+    slot by which each pass arrived.
     """
 
     heading: FloatArray
@@ -56,35 +56,35 @@ def tabulate(reckoning: DeadReckoning, place: IntArray, turn: FloatArray) -> Pla
     """
     passes, branches = reckoning.passes, reckoning.passes.branches
     # Branches that the track shows and the detector did not report.
-    came = np.flatnonzero((passes.entry == NO_BRANCH) & np.isfinite(reckoning.arriving))
-    went = np.flatnonzero((passes.exit == NO_BRANCH) & np.isfinite(reckoning.leaving))
-    by = np.concatenate([branches.owner, came, went])
-    headings = branches.values, reckoning.arriving[came], reckoning.leaving[went]
-    angle = np.concatenate(headings) + turn[by]
-    reported = np.arange(len(by)) < len(branches.owner)
-    home = place[by]
-    inside = home >= 0
-    clusters = cluster_angles(angle[inside], home[inside], ONE_WAY_RAD)
+    no_entry = np.flatnonzero((passes.entry == NO_BRANCH) & np.isfinite(reckoning.arriving))
+    no_exit = np.flatnonzero((passes.exit == NO_BRANCH) & np.isfinite(reckoning.leaving))
+    owner = np.concatenate([branches.owner, no_entry, no_exit])
+    headings = branches.values, reckoning.arriving[no_entry], reckoning.leaving[no_exit]
+    angle = np.concatenate(headings) + turn[owner]
+    reported = np.arange(len(owner)) < len(branches.owner)
+    place_of_branch = place[owner]
+    inside = place_of_branch >= 0
+    clusters = cluster_angles(angle[inside], place_of_branch[inside], ONE_WAY_RAD)
     n = int(place.max(initial=-1)) + 1
     start = np.searchsorted(clusters.owner, np.arange(n + 1))
     width = int(np.diff(start).max(initial=1))
-    slot = np.full(len(by), NO_BRANCH, np.int64)
-    slot[inside] = clusters.of - start[home[inside]]
-    at = clusters.owner, np.arange(len(clusters)) - start[clusters.owner]
-    member = np.flatnonzero(place >= 0)
-    visits = np.bincount(place[member], minlength=n)
+    slot = np.full(len(owner), NO_BRANCH, np.int64)
+    slot[inside] = clusters.of - start[place_of_branch[inside]]
+    cells = clusters.owner, np.arange(len(clusters)) - start[clusters.owner]
+    placed = np.flatnonzero(place >= 0)
+    visits = np.bincount(place[placed], minlength=n)
     heading, share = np.full((n, width), np.nan), np.zeros((n, width))
-    heading[at] = clusters.mean
-    share[at] = clusters.votes(by[inside], reported[inside])
+    heading[cells] = clusters.mean
+    share[cells] = clusters.votes(owner[inside], reported[inside])
     share /= np.maximum(visits, 1)[:, None]
-    confidence = np.bincount(place[member], passes.confidence[member], n) / np.maximum(visits, 1)
+    confidence = np.bincount(place[placed], passes.confidence[placed], n) / np.maximum(visits, 1)
     first = np.full(n, len(reckoning), np.int64)
-    np.minimum.at(first, place[member], member)
+    np.minimum.at(first, place[placed], placed)
     entry, exit_ = np.full((2, len(reckoning)), NO_BRANCH)
     for ends, local in ((entry, passes.entry), (exit_, passes.exit)):
         known = np.flatnonzero(local != NO_BRANCH)
         ends[known] = slot[branches.offsets[known] + local[known]]
-    entry[came], exit_[went] = np.split(slot[len(branches.owner) :], [len(came)])
+    entry[no_entry], exit_[no_exit] = np.split(slot[len(branches.owner) :], [len(no_entry)])
     ways = _ways(reckoning, place, entry, exit_, (n, width))
     return Places(heading, share, visits, confidence, first, *ways, entry)
 
@@ -96,30 +96,30 @@ def _ways(
     exit_: IntArray,
     shape: tuple[int, int],
 ) -> tuple[IntArray, IntArray, FloatArray, IntArray, IntArray]:
-    """Where each slot leads: of several ends the one reached most often, then the nearest. Five (n,
-    s) columns of `Places`, from next_place to tried."""
+    """Five (n, s) columns of `Places`, from next_place to tried. Of several ends of a slot the one
+    reached most often counts, then the nearest."""
     size, width = shape[0] * shape[1], shape[1]
     legs = np.flatnonzero(np.isfinite(reckoning.leg))
     p, q = place[legs], place[legs + 1]
     a, b = exit_[legs], entry[legs + 1]
-    fine = (p >= 0) & (q >= 0) & (a >= 0) & (b >= 0) & ~((p == q) & (a == b))
-    p, q, a, b, leg = p[fine], q[fine], a[fine], b[fine], reckoning.leg[legs[fine]]
-    here = np.concatenate([p * width + a, q * width + b])
-    there = np.concatenate([q * width + b, p * width + a])
-    far = np.concatenate([leg, leg])
-    order = np.argsort(far, kind="stable")
-    pairs = here[order] * size + there[order]
+    usable = (p >= 0) & (q >= 0) & (a >= 0) & (b >= 0) & ~((p == q) & (a == b))
+    p, q, a, b, leg = p[usable], q[usable], a[usable], b[usable], reckoning.leg[legs[usable]]
+    from_slot = np.concatenate([p * width + a, q * width + b])
+    to_slot = np.concatenate([q * width + b, p * width + a])
+    length_m = np.concatenate([leg, leg])
+    order = np.argsort(length_m, kind="stable")
+    pairs = from_slot[order] * size + to_slot[order]
     pair, group, count = np.unique(pairs, return_inverse=True, return_counts=True)
     head, tail = np.divmod(pair, size)
-    mean = np.bincount(group, far[order]) / count
+    mean = np.bincount(group, length_m[order]) / count
     best = np.lexsort((mean, -count, head))
     chosen = best[np.diff(head[best], prepend=-1) > 0]
-    at = head[chosen]
+    slots = head[chosen]
     next_place, next_slot = np.full((2, size), NOWHERE)
     length, driven = np.full(size, np.nan), np.zeros(size, np.int64)
-    next_place[at], next_slot[at] = np.divmod(tail[chosen], width)
-    length[at], driven[at] = mean[chosen], count[chosen]
-    tried = np.bincount(here, minlength=size)
+    next_place[slots], next_slot[slots] = np.divmod(tail[chosen], width)
+    length[slots], driven[slots] = mean[chosen], count[chosen]
+    tried = np.bincount(from_slot, minlength=size)
     return (
         next_place.reshape(shape),
         next_slot.reshape(shape),

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..arrays import FloatArray, IntArray
+from ..columns import take
 from ..odometry import Odometry
 from ..passes import Passes
 from ..posegraph.graph import edge_errors, prior_errors, squared
@@ -67,8 +68,7 @@ PRIOR = ComponentSettings()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fitted:
-    """reckoning: with its most likely noise; estimate: with that noise; grid: with its estimated
-    spread."""
+    """reckoning and estimate with the most likely noise; grid with its estimated spread."""
 
     reckoning: DeadReckoning
     estimate: Estimate
@@ -86,78 +86,80 @@ def fitted_noise(
     """Dead reckoning with its most likely noise, and the estimate with that noise.
 
     reckoning: with the noise estimated before closure, which is the prior; odometry: that of the
-    reckoning; estimate: initial one of the places; grid: headings that hold it. Each round solves
-    one estimate, and takes the trace of every component's share in the posterior from samples.
+    reckoning; estimate: initial one of the places; grid: headings that constrain it. Each round
+    solves one estimate, and samples the trace of each component.
     """
-    before = reckoning
+    unfitted = reckoning
     prior = np.array([getattr(reckoning.noise, name) for name in COMPONENTS]) ** 2
     if grid is not None:
         prior = np.append(prior, grid.spread_rad**2)
-    units = _unit_walks(reckoning, odometry)
-    legs = _leg_covariances(reckoning, units)
+    unit_walks = _reckonings_by_walk(reckoning, odometry)
+    legs_by_walk = _leg_covariances(reckoning, unit_walks)
     smoothed = _smoothed(odometry, reckoning.passes)
     variance = prior
     estimate = optimise(reckoning, place, estimate.pose, grid=grid)
-    for left in reversed(range(PRIOR.rounds)):
-        energy, freedom = _energy_and_freedom(estimate, legs, smoothed, variance, grid)
-        step = _step(energy, freedom, variance / prior, PRIOR.freedom, 2 if left else 1)
+    for rounds_left in reversed(range(PRIOR.rounds)):
+        energy, freedom = _energy_and_freedom(estimate, legs_by_walk, smoothed, variance, grid)
+        step = _variance_factors(
+            energy, freedom, variance / prior, PRIOR.freedom, 2 if rounds_left else 1
+        )
         if len(reckoning.loops):
-            # The odometry was laid out by its loops: what is left does not show how it errs.
+            # The odometry was corrected by its loops: the residuals do not show its errors.
             step[:_WALKS] = 1.0
         variance = variance * step
-        reckoning = _with_variances(reckoning, units, variance)
+        reckoning = _with_variances(reckoning, unit_walks, variance)
         if grid is not None:
             spread_rad = float(np.sqrt(variance[_GRID]))
             grid = with_spread(grid, reckoning.passes, reckoning.noise.branch_rad, spread_rad)
         estimate = optimise(reckoning, place, estimate.pose, grid=grid)
     if grid is not None and grid.spread_rad > PRIOR.most_spread_rad:
-        return fitted_noise(before, odometry, place, estimate)
+        return fitted_noise(unfitted, odometry, place, estimate)
     return Fitted(reckoning, estimate, grid)
 
 
 def with_shown_spread(
-    corridors: GridCorridors,
-    estimate: Estimate,
-    grid: GridHeadings,
+    corridors: GridCorridors, estimate: Estimate, grid: GridHeadings
 ) -> GridCorridors:
-    """The corridors with their deviations from the grid as the estimate shows them, separately for
-    the two axes of the grid.
+    """The corridors with their deviations from the grid by the estimate, for each axis of the grid.
 
-    estimate: optimised with these corridors; grid: that they run along. One step of the variance
+    estimate: optimised with these corridors; grid: of the corridors. One step of the variance
     component estimate, with the prior of the grid.
     """
     graph, solution = estimate.graph, estimate.solution
     lines, side = slice(len(graph.priors) - len(corridors.side), None), corridors.side
-    off = prior_errors(graph, solution.pose)[lines, 2]
+    deviation = prior_errors(graph, solution.pose)[lines, 2]
     # A subset represents all, for speed in long runs. Samples would depend on the frame.
-    some = slice(None, None, -(-len(off) // ESTIMATE.samples) or 1)
-    node = graph.priors.node[lines][some]
-    left = Marginals.of(graph, solution).joint(node, node)[0][:, 2, 2]
-    stood = np.bincount(side, minlength=2) / np.maximum(np.bincount(side[some], minlength=2), 1)
-    freedom = stood * np.bincount(side[some], 1 - left / corridors.spread_rad[some] ** 2, 2)
+    sample = slice(None, None, -(-len(deviation) // ESTIMATE.samples) or 1)
+    node = graph.priors.node[lines][sample]
+    remaining = Marginals.of(graph, solution).joint(node, node)[0][:, 2, 2]
+    represented = np.bincount(side, minlength=2) / np.maximum(
+        np.bincount(side[sample], minlength=2), 1
+    )
+    freedom = represented * np.bincount(
+        side[sample], 1 - remaining / corridors.spread_rad[sample] ** 2, 2
+    )
     prior = PRIOR.freedom * grid.spread_rad**2
-    variance = (np.bincount(side, off**2, 2) + prior) / (freedom + PRIOR.freedom)
+    variance = (np.bincount(side, deviation**2, 2) + prior) / (freedom + PRIOR.freedom)
     return replace(corridors, spread_rad=np.sqrt(variance)[side])
 
 
-def _step(
+def _variance_factors(
     energy: FloatArray, freedom: FloatArray, ratio: FloatArray, f: float, power: int
 ) -> FloatArray:
     """(c,) factors on the variances: squared errors over degrees of freedom, both including the
     prior's.
 
-    ratio: (c,) variances in units of the prior's, which has f degrees of freedom (inverse χ²):
-    those of the detector and of the grid each by itself, those of the odometry's random walks
-    relative to their common level, which takes a step of its own, raised to `power`.
+    ratio: (c,) variances in units of the prior's, which has f degrees of freedom (inverse χ²).
+    Variances of the detector and of the grid have priors of their own. Those of the
+    odometry's random walks have a common level, which takes a step of its own, raised to `power`.
     """
     level = np.ones(len(ratio))
-    level[:_WALKS] = _odometry_level(ratio[:_WALKS], f)
+    t = level[:_WALKS] = _odometry_level(ratio[:_WALKS], f)
     expected = energy + f * level / ratio
-    out: FloatArray = expected / (freedom + f)
-    t = level[0]
+    factor: FloatArray = expected / (freedom + f)
     common = (energy[:_WALKS].sum() + 1 / (1 + t)) / (freedom[:_WALKS].sum() + t / (1 + t))
-    out[:_WALKS] *= common**power * (freedom[:_WALKS] + f).sum() / expected[:_WALKS].sum()
-    return out
+    factor[:_WALKS] *= common**power * (freedom[:_WALKS] + f).sum() / expected[:_WALKS].sum()
+    return factor
 
 
 def _odometry_level(ratio: FloatArray, f: float) -> float:
@@ -175,7 +177,7 @@ def _odometry_level(ratio: FloatArray, f: float) -> float:
     return float(b + np.sqrt(b * b + 4 * f * h * (f * k + 1))) / (2 * f * h)
 
 
-def _unit_walks(reckoning: DeadReckoning, odometry: Odometry) -> list[DeadReckoning]:
+def _reckonings_by_walk(reckoning: DeadReckoning, odometry: Odometry) -> list[DeadReckoning]:
     """Dead reckoning with a single random walk of the odometry of unit variance, one for each
     walk."""
     none = RunNoise(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -194,13 +196,15 @@ def _leg_covariances(reckoning: DeadReckoning, units: list[DeadReckoning]) -> Fl
 
 
 def _smoothed(odometry: Odometry, passes: Passes) -> FloatArray:
-    """(p, 2) by how much less the heading of each pass, a mean over its messages, varies than the
-    walks at its middle: for walks of 1 rad per √m driven and of 1 rad per √rad turned."""
+    """(p, 2) variance that the heading of each pass lacks, because it is a mean over messages,
+    against the walks at its middle: of 1 rad per √m driven and per √rad turned."""
     messages = np.maximum(passes.messages, 1)
-    of, number = numbered(messages)
-    share = number / np.maximum(messages - 1, 1)[of]
-    time_ns = (passes.start_ns[of] + share * (passes.end_ns - passes.start_ns)[of]).astype(np.int64)
-    means = WalkMeans.of(walked_at(odometry, time_ns), of, len(passes))
+    owner, number = numbered(messages)
+    fraction = number / np.maximum(messages - 1, 1)[owner]
+    time_ns = (passes.start_ns[owner] + fraction * (passes.end_ns - passes.start_ns)[owner]).astype(
+        np.int64
+    )
+    means = WalkMeans.of(walked_at(odometry, time_ns), owner, len(passes))
     # Where the robot stands, sums may be rounded below 0.
     return np.maximum(means.lost, 0.0)
 
@@ -222,7 +226,7 @@ class _Edges:
     """Edges of one kind.
 
     error: (k, 3); information: (k, 3, 3); residual: (k, 3, s) samples of the residuals after
-    solving, in sigmas; smoothed: (k, 3, s) the same of the variance that means over passes lack;
+    solving, whitened; smoothed: (k, 3, s) the same by the variance that means over passes lack;
     weight: (k,) at the solution; kernel: (k,) widths in sigmas.
     """
 
@@ -237,19 +241,19 @@ class _Edges:
         """Squared error by one component, in units of its variance, and its degrees of freedom.
 
         part: (k, 3, 3) V, the covariance by the component. With e the error, Ω its information and
-        C the part of the covariance of e that the solution leaves: eᵀ Ω V Ω e, and tr(Ω V) - tr(Ω V
-        Ω C), minus what is smoothed, which can exceed the rest while the variances are not right
-        yet.
+        C the covariance of e at the solution: eᵀ Ω V Ω e, and tr(Ω V) - tr(Ω V Ω C), minus the
+        smoothed part. That can exceed the rest before the variances have converged.
         """
         root = square_root(self.information)
-        share = root.transpose(0, 2, 1) @ part @ root
-        e = (root.transpose(0, 2, 1) @ self.error[:, :, None])[:, :, 0]
-        energy = self.weight @ np.einsum("ki,kij,kj->k", e, share, e)
-        free, lost = (
-            np.einsum("kis,kij,kjs->k", r, share, r) for r in (self.residual, self.smoothed)
+        whitened_part = root.transpose(0, 2, 1) @ part @ root
+        whitened = (root.transpose(0, 2, 1) @ self.error[:, :, None])[:, :, 0]
+        energy = self.weight @ np.einsum("ki,kij,kj->k", whitened, whitened_part, whitened)
+        residual_trace, smoothed_trace = (
+            np.einsum("kis,kij,kjs->k", samples, whitened_part, samples)
+            for samples in (self.residual, self.smoothed)
         )
-        freedom = float(self._expected_weight() @ (free - lost)) / self.residual.shape[2]
-        return float(energy), max(freedom, 0.0)
+        trace = float(self._expected_weight() @ (residual_trace - smoothed_trace))
+        return float(energy), max(trace / self.residual.shape[2], 0.0)
 
     def _expected_weight(self) -> FloatArray:
         """(k,) mean weight of normal errors in their Cauchy kernels.
@@ -264,88 +268,84 @@ class _Edges:
         redundancy = np.mean((self.residual**2).sum(axis=1), axis=1) / rank
         chi2 = 2 * gammaincinv(rank / 2, (np.arange(64) + 0.5) / 64)
         weighted = chi2 / (1 + redundancy[:, None] * chi2 / self.kernel[:, None] ** 2)
-        out: FloatArray = weighted.mean(axis=1) / chi2.mean()
-        return out
+        return np.asarray(weighted.mean(axis=1) / chi2.mean())
 
 
 def _energy_and_freedom(
     estimate: Estimate,
-    units: FloatArray,
+    legs_by_walk: FloatArray,
     smoothed: FloatArray,
     variance: FloatArray,
     grid: GridHeadings | None,
 ) -> tuple[FloatArray, FloatArray]:
     """(c,) each: squared error of each component in units of its variance, and degrees of
     freedom."""
-    less = smoothed[estimate.sighting] @ variance[1:_WALKS]
-    legs, sightings, headings = _edges_by_kind(estimate, units.shape[1], less)
-    found = [legs.shares(variance[k] * units[k]) for k in range(_WALKS)]
+    lacking = smoothed[estimate.sighting] @ variance[1:_WALKS]
+    legs, sightings, headings = _edges_by_kind(estimate, legs_by_walk.shape[1], lacking)
+    shares = [legs.shares(variance[k] * legs_by_walk[k]) for k in range(_WALKS)]
     for axes in ((0, 1), (2,)):
-        part = np.zeros_like(sightings.information)
+        covariance = np.zeros_like(sightings.information)
         for axis in axes:
-            part[:, axis, axis] = 1.0 / sightings.information[:, axis, axis]
-        found.append(sightings.shares(part))
+            covariance[:, axis, axis] = 1.0 / sightings.information[:, axis, axis]
+        shares.append(sightings.shares(covariance))
     if grid is not None:
-        spread, read = np.zeros((2, len(headings.error), 3, 3))
+        spread, reading = np.zeros((2, len(headings.error), 3, 3))
         spread[:, 2, 2] = variance[_GRID]
-        read[:, 2, 2] = grid.sigma**2 - variance[_GRID]
-        found.append(headings.shares(spread))
+        reading[:, 2, 2] = grid.sigma**2 - variance[_GRID]
+        shares.append(headings.shares(spread))
         # Reading errors of branches show in both observations and grid headings.
-        found[_BRANCH] = tuple(np.add(found[_BRANCH], headings.shares(read)).tolist())
-    energy, freedom = np.array(found).T
+        shares[_BRANCH] = tuple(np.add(shares[_BRANCH], headings.shares(reading)).tolist())
+    energy, freedom = np.array(shares).T
     return energy, freedom
 
 
 def _edges_by_kind(
-    estimate: Estimate, legs: int, less: FloatArray
+    estimate: Estimate, legs: int, lacking: FloatArray
 ) -> tuple[_Edges, _Edges, _Edges]:
     """The edges of an estimate: `legs` of odometry, observations of places, and headings by the
     grid.
 
-    less: (k,) variance [rad²] that the heading of each observation lacks, as a mean over a pass.
+    lacking: (k,) variance [rad²] that the heading of each observation lacks, as a mean over a pass.
     """
     graph, solution = estimate.graph, estimate.solution
     error = edge_errors(graph, solution.pose, solution.shared)
-    row = slice(0, legs), slice(legs, legs + len(less))
-    loops = slice(row[1].stop, row[1].stop + len(estimate.loop_chi2))
-    off = prior_errors(graph, solution.pose)
-    known = graph.priors
-    give = np.ones(len(error))
-    for part in (row[1], loops):
-        give[part] = _stiffness(solution.edge_chi2[part], graph.kernel[part], 3)
-    give_known = np.full(len(known), _stiffness(squared(off, known.information), known.kernel, 1))
-    pulled = replace(solution, edge_weight=give, prior_weight=give_known)
-    sampled = SampledMarginals.of(graph, pulled, ESTIMATE.samples, outliers=False)
+    rows = slice(0, legs), slice(legs, legs + len(lacking))
+    loops = slice(rows[1].stop, rows[1].stop + len(estimate.loop_chi2))
+    prior_error = prior_errors(graph, solution.pose)
+    priors = graph.priors
+    stiffness = np.ones(len(error))
+    for part in (rows[1], loops):
+        stiffness[part] = _mean_stiffness(solution.edge_chi2[part], graph.kernel[part], 3)
+    prior_chi2 = squared(prior_error, priors.information)
+    prior_stiffness = np.full(len(priors), _mean_stiffness(prior_chi2, priors.kernel, 1))
+    stiffened = replace(solution, edge_weight=stiffness, prior_weight=prior_stiffness)
+    sampled = SampledMarginals.of(graph, stiffened, ESTIMATE.samples, outliers=False)
     errors = np.zeros((len(error), 3))
-    errors[row[1], 2] = np.sqrt(less)
-    lost = sampled.by_edges(errors)
-    walked, seen = (
-        _Edges(
-            error[r],
-            graph.information[r],
-            sampled.edge_residual[r],
-            lost.edge_residual[r],
-            solution.edge_weight[r],
-            graph.kernel[r],
-        )
-        for r in row
+    errors[rows[1], 2] = np.sqrt(lacking)
+    smoothed = sampled.by_edges(errors)
+    edges = _Edges(
+        error,
+        graph.information,
+        sampled.edge_residual,
+        smoothed.edge_residual,
+        solution.edge_weight,
+        graph.kernel,
     )
     headings = _Edges(
-        off,
-        known.information,
+        prior_error,
+        priors.information,
         sampled.prior_residual,
-        lost.prior_residual,
+        smoothed.prior_residual,
         solution.prior_weight,
-        known.kernel,
+        priors.kernel,
     )
-    return walked, seen, headings
+    return take(edges, rows[0]), take(edges, rows[1]), headings
 
 
-def _stiffness(chi2: FloatArray, kernel: FloatArray, rank: int) -> float:
+def _mean_stiffness(chi2: FloatArray, kernel: FloatArray, rank: int) -> float:
     """Mean derivative of w(χ²) e by e over the `rank` directions of e, for a Cauchy kernel.
 
-    It is the stiffness of the edges against small changes, where the weights w say how much of
-    their errors count.
+    It is the stiffness of the edges against small changes, while w is the weight of their errors.
     """
     if not np.isfinite(kernel).any():
         return 1.0

@@ -52,12 +52,12 @@ class Links(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Growth:
-    """All grown matches that hold a corridor, valid and rejected.
+    """All grown matches with a corridor, valid and rejected.
 
     nodes: N nodes in ascending order; component: (N,) the match of each; rejected: (C,) whether a
-    match holds an incompatibility; tested: (C,) corresponding branches that were driven in both
-    maps, agreed: (C,) those of them along which a link leads; links, and link_component: (L,) the
-    match of each; rectilinear: whether correspondences are quarter turns.
+    match has an incompatibility; tested: (C,) number of corresponding branches driven in both maps;
+    agreed: (C,) number of these with a link; links; link_component: (L,) the match of each link;
+    rectilinear: whether correspondences are quarter turns.
     """
 
     nodes: Nodes
@@ -83,12 +83,12 @@ def grow(
     """
     links = _find_links(a, b, settings)
     if seeds is not None:
-        links = _reached(links, node_codes(a, b, seeds, is_rectilinear(a, b, settings)))
-    return _assembled(a, b, links, settings)
+        links = _connected_to(links, node_codes(a, b, seeds, is_rectilinear(a, b, settings)))
+    return _components(a, b, links, settings)
 
 
-def _reached(links: Links, seeds: IntArray) -> Links:
-    """The links that lead, one after the other, to one of the nodes with the codes `seeds`."""
+def _connected_to(links: Links, seeds: IntArray) -> Links:
+    """The links connected, through links, to one of the nodes with the codes `seeds`."""
     size = len(links.start)
     code, inverse = np.unique(np.concatenate([links.start, links.end]), return_inverse=True)
     component = connected(inverse[:size], inverse[size:], len(code))
@@ -166,10 +166,13 @@ def _equal_lengths(x: _Measured, y: _Measured, bound_sigmas: float) -> tuple[Int
     i, j = order_x[i], order_y[j]
     k, h = _windows(key_y[order_y], np.minimum(reach * y.sigma[order_y], cap), key_x[order_x])
     k, h = order_y[k], order_x[h]
-    wide, other = x.sigma[i] >= y.sigma[j], y.sigma[k] > x.sigma[h]
-    i, j = np.concatenate([i[wide], h[other]]), np.concatenate([j[wide], k[other]])
-    near = np.abs(x.length[i] - y.length[j]) <= bound_sigmas * np.hypot(x.sigma[i], y.sigma[j])
-    return i[near], j[near]
+    wide_x, wide_y = x.sigma[i] >= y.sigma[j], y.sigma[k] > x.sigma[h]
+    i, j = (
+        np.concatenate([i[wide_x], h[wide_y]]),
+        np.concatenate([j[wide_x], k[wide_y]]),
+    )
+    close = np.abs(x.length[i] - y.length[j]) <= bound_sigmas * np.hypot(x.sigma[i], y.sigma[j])
+    return i[close], j[close]
 
 
 def _windows(
@@ -178,8 +181,8 @@ def _windows(
     """All (row of centre, row of sorted keys) with the key inside the row's window."""
     low = np.searchsorted(keys, centre - half_width, "left")
     count = np.searchsorted(keys, centre + half_width, "right") - low
-    rows, nth = numbered(count)
-    return rows, low[rows] + nth
+    rows, number = numbered(count)
+    return rows, low[rows] + number
 
 
 def _slot_nodes(
@@ -191,9 +194,9 @@ def _slot_nodes(
     """
     turn = (a.out_slot[dart_a] - b.out_slot[dart_b]) % 4
     if settings.degree == "inexact":
-        ok = masks_agree(a.mask[a.start[dart_a]], b.mask[b.start[dart_b]], turn, settings)
-        ok &= masks_agree(a.mask[a.end[dart_a]], b.mask[b.end[dart_b]], turn, settings)
-        dart_a, dart_b, turn = dart_a[ok], dart_b[ok], turn[ok]
+        compatible = masks_agree(a.mask[a.start[dart_a]], b.mask[b.start[dart_b]], turn, settings)
+        compatible &= masks_agree(a.mask[a.end[dart_a]], b.mask[b.end[dart_b]], turn, settings)
+        dart_a, dart_b, turn = dart_a[compatible], dart_b[compatible], turn[compatible]
     start = (a.start[dart_a] * len(b) + b.start[dart_b]) * 4 + turn
     end = (a.end[dart_a] * len(b) + b.end[dart_b]) * 4 + turn
     return Links(dart_a, dart_b, start, end)
@@ -207,40 +210,40 @@ def _angle_nodes(
     arrive = (a.end[dart_a], a.in_branch[dart_a]), (b.end[dart_b], b.in_branch[dart_b])
     ok_start, partner_start = correspond(a, b, *leave, settings)
     ok_end, partner_end = correspond(a, b, *arrive, settings)
-    ok = ok_start & ok_end
-    dart_a, dart_b = dart_a[ok], dart_b[ok]
-    start = encode(a, b, a.start[dart_a], b.start[dart_b], partner_start[ok])
-    end = encode(a, b, a.end[dart_a], b.end[dart_b], partner_end[ok])
+    compatible = ok_start & ok_end
+    dart_a, dart_b = dart_a[compatible], dart_b[compatible]
+    start = encode(a, b, a.start[dart_a], b.start[dart_b], partner_start[compatible])
+    end = encode(a, b, a.end[dart_a], b.end[dart_b], partner_end[compatible])
     return Links(dart_a, dart_b, start, end)
 
 
 # --- components: the grown matches ----------------------------------------------------------------
 
 
-def _assembled(a: Structure, b: Structure, links: Links, settings: GrowthSettings) -> Growth:
+def _components(a: Structure, b: Structure, links: Links, settings: GrowthSettings) -> Growth:
     """The connected components of the links, rejecting those with an incompatibility (§2.2)."""
     rectilinear = is_rectilinear(a, b, settings)
     size = len(links.start)
     code, inverse = np.unique(np.concatenate([links.start, links.end]), return_inverse=True)
     nodes = decode(a, b, code, rectilinear)
     component = connected(inverse[:size], inverse[size:], len(code))
-    number = int(component.max(initial=-1)) + 1
+    count = int(component.max(initial=-1)) + 1
     # A branch driven in both maps whose corridors do not pair is an incompatibility.
-    satisfied = _satisfied(a, b, links, inverse, rectilinear)
+    satisfied = _tested_branches(a, b, links, inverse, rectilinear)
     shared = shared_branches(a, b, nodes, rectilinear)
-    rejected = np.zeros(number, np.bool_)
+    rejected = np.zeros(count, np.bool_)
     rejected[component[satisfied < shared]] = True
-    of_link = component[inverse[:size]]
-    rejected[_out_of_bounds(a, b, links, of_link, settings)] = True
+    link_component = component[inverse[:size]]
+    rejected[_out_of_bounds(a, b, links, link_component, settings)] = True
     rejected[_not_one_to_one(nodes, component, rejected)] = True
     return Growth(
         nodes=nodes,
         component=component,
         rejected=rejected,
-        tested=np.bincount(component, shared, number).astype(np.int64),
-        agreed=np.bincount(component, satisfied, number).astype(np.int64),
+        tested=np.bincount(component, shared, count).astype(np.int64),
+        agreed=np.bincount(component, satisfied, count).astype(np.int64),
         links=links,
-        link_component=of_link,
+        link_component=link_component,
         rectilinear=rectilinear,
     )
 
@@ -253,16 +256,16 @@ def _out_of_bounds(
     Links are searched within the bound of the largest match. A link between the two bounds would be
     an incompatibility at both of its ends, so its match is rejected either way.
     """
-    held = np.bincount(component)
+    corridors_of_match = np.bincount(component)
     sigma = np.hypot(a.sigma[links.dart_a], b.sigma[links.dart_b])
-    off = np.abs(a.length[links.dart_a] - b.length[links.dart_b])
-    bound = np.zeros(int(held.max(initial=0)) + 1)
-    for corridors in np.flatnonzero(np.bincount(held)).tolist():
+    difference = np.abs(a.length[links.dart_a] - b.length[links.dart_b])
+    bound = np.zeros(int(corridors_of_match.max(initial=0)) + 1)
+    for corridors in np.flatnonzero(np.bincount(corridors_of_match)).tolist():
         bound[corridors] = settings.bound_sigmas(corridors)
-    return component[off > bound[held[component]] * sigma]
+    return component[difference > bound[corridors_of_match[component]] * sigma]
 
 
-def _satisfied(
+def _tested_branches(
     a: Structure, b: Structure, links: Links, node: IntArray, rectilinear: bool
 ) -> IntArray:
     """(N,) corresponding branches of each node along which a pair of corridors was found.
@@ -272,22 +275,22 @@ def _satisfied(
     count = int(node.max(initial=-1)) + 1
     if not a.crowded and not b.crowded:
         return np.bincount(node, minlength=count)
-    out, into = (a.out_slot, a.in_slot) if rectilinear else (a.out_branch, a.in_branch)
-    branch = np.concatenate([out[links.dart_a], into[links.dart_a]])
+    leaving, arriving = (a.out_slot, a.in_slot) if rectilinear else (a.out_branch, a.in_branch)
+    branch = np.concatenate([leaving[links.dart_a], arriving[links.dart_a]])
     width = int(branch.max(initial=0)) + 1
     return np.bincount(np.unique(node * width + branch) // width, minlength=count)
 
 
 def _not_one_to_one(nodes: Nodes, component: IntArray, rejected: BoolArray) -> IntArray:
     """Matches not yet rejected that pair a vertex twice."""
-    alive = ~rejected[component]
-    twice = []
+    valid = ~rejected[component]
+    found = []
     for vertex in (nodes.vertex_a, nodes.vertex_b):
-        key = component[alive] * (int(vertex.max(initial=0)) + 1) + vertex[alive]
+        key = component[valid] * (int(vertex.max(initial=0)) + 1) + vertex[valid]
         order = np.argsort(key, kind="stable")
-        again = key[order][1:] == key[order][:-1]
-        twice.append(component[alive][order][1:][again])
-    return np.concatenate(twice)
+        repeated = key[order][1:] == key[order][:-1]
+        found.append(component[valid][order][1:][repeated])
+    return np.concatenate(found)
 
 
 # --- pairs of vertices that no corridor tests -----------------------------------------------------

@@ -33,8 +33,8 @@ class BranchPairs:
 
 def unit_headings(heading: FloatArray) -> ComplexArray:
     """Headings [rad] as unit complex numbers, 0 for NaN."""
-    there = np.isfinite(heading)
-    return np.asarray(np.where(there, np.exp(1j * np.where(there, heading, 0.0)), 0.0))
+    exists = np.isfinite(heading)
+    return np.asarray(np.where(exists, np.exp(1j * np.where(exists, heading, 0.0)), 0.0))
 
 
 def mutual_nearest(
@@ -57,31 +57,25 @@ def mutual_nearest(
 
 
 def agreeing(
-    pairs: BranchPairs,
-    variance: FloatArray,
-    free: FloatArray | float,
-    most: float = np.inf,
+    pairs: BranchPairs, variance: FloatArray, rarity: FloatArray | float, most: float = np.inf
 ) -> FloatArray:
     """(k,) log likelihood ratio [nats] of paired branches: Σ ln p(d | same) - ln p(heading | any).
 
-    variance: (k,) or (1,) [rad²] of the difference of two readings; free: (k, d_a) -ln density
-    [1/rad] of a branch in that direction by chance (rarer directions count more); most: upper bound
-    per branch.
+    variance: (k,) or (1,) [rad²] of the difference of two readings; rarity: (k, d_a) -ln density
+    [1/rad] of a branch in that direction by chance; most: upper bound per branch.
     """
     fit = log_density(pairs.chord2 / variance[:, None], variance[:, None])
-    told = np.where(pairs.paired, np.minimum(fit + free, most), 0.0)
-    return np.asarray(np.add.reduce(told, axis=1))
+    terms = np.where(pairs.paired, np.minimum(fit + rarity, most), 0.0)
+    return np.asarray(np.add.reduce(terms, axis=1))
 
 
 def missing(pairs: BranchPairs, lack_a: FloatArray, lack_b: FloatArray) -> FloatArray:
     """(k,) log likelihood ratio [nats], negative, of branches without a partner.
 
-    lack_a: (k, d_a), lack_b: (k, d_b) ln of the rate at which a look misses that branch, weighted
-    by its confidence; 0 where there is no branch.
+    lack_a: (k, d_a), lack_b: (k, d_b) ln of the rate at which an observation misses that branch,
+    weighted by its confidence; 0 where there is no branch.
     """
     partner = np.where(pairs.paired, pairs.nearest, -1)
-    taken = (partner[:, :, None] == np.arange(lack_b.shape[1])).any(axis=1)
-    told = np.where(pairs.paired, 0.0, lack_a).sum(axis=1) + np.where(taken, 0.0, lack_b).sum(
-        axis=1
-    )
-    return np.asarray(told)
+    is_partner = (partner[:, :, None] == np.arange(lack_b.shape[1])).any(axis=1)
+    of_a, of_b = np.where(pairs.paired, 0.0, lack_a), np.where(is_partner, 0.0, lack_b)
+    return np.asarray(of_a.sum(axis=1) + of_b.sum(axis=1))

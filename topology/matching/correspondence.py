@@ -30,8 +30,8 @@ QUARTER = np.pi / 2
 POPCOUNT = np.array([bin(m).count("1") for m in range(16)], np.int64)
 
 
-TURNED = np.array([[((m << r) | (m >> (4 - r))) & 15 for r in range(4)] for m in range(16)])
-"""TURNED[mask, r]: the slots of `mask` turned by r quarter turns."""
+ROTATED = np.array([[((m << r) | (m >> (4 - r))) & 15 for r in range(4)] for m in range(16)])
+"""ROTATED[mask, r]: the slots of `mask` rotated by r quarter turns."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,10 +129,10 @@ def _all_branches(
     partner = np.where(inside, (columns + shift[:, None]) % np.maximum(degree, 1)[:, None], -1)
     hb = b.heading[vertex_b[:, None], np.maximum(partner, 0)]
     anchor = a.heading[vertex_a, branch_a] - b.heading[vertex_b, branch_b]
-    diff = np.where(inside, wrap(a.heading[vertex_a] - hb - anchor[:, None]), 0.0)
-    mean = diff.sum(axis=1) / np.maximum(degree, 1)
-    off = np.where(inside, np.abs(diff - mean[:, None]), 0.0)
-    return equal & (off.max(axis=1, initial=0.0) <= settings.branch_tolerance_rad), partner
+    difference = np.where(inside, wrap(a.heading[vertex_a] - hb - anchor[:, None]), 0.0)
+    mean = difference.sum(axis=1) / np.maximum(degree, 1)
+    deviation = np.where(inside, np.abs(difference - mean[:, None]), 0.0)
+    return equal & (deviation.max(axis=1, initial=0.0) <= settings.branch_tolerance_rad), partner
 
 
 def _most_branches(
@@ -147,13 +147,13 @@ def _most_branches(
     rotation = ua[rows, branch_a] * ub[rows, branch_b].conj()
     for _ in range(2):
         pairs = mutual_nearest(ua, ub * rotation[:, None], gate)
-        off = ua * np.take_along_axis(ub, pairs.nearest, axis=1).conj()
-        mean = np.where(pairs.paired, off, 0.0).sum(axis=1)
+        difference = ua * np.take_along_axis(ub, pairs.nearest, axis=1).conj()
+        mean = np.where(pairs.paired, difference, 0.0).sum(axis=1)
         rotation = np.exp(1j * np.angle(mean))
     partner, count = np.where(pairs.paired, pairs.nearest, -1), pairs.paired.sum(axis=1)
-    spare = settings.unmatched_branches
-    ok = (a.degree[vertex_a] - count <= spare) & (b.degree[vertex_b] - count <= spare)
-    return ok & (partner[rows, branch_a] == branch_b), partner
+    most = settings.unmatched_branches
+    compatible = (a.degree[vertex_a] - count <= most) & (b.degree[vertex_b] - count <= most)
+    return compatible & (partner[rows, branch_a] == branch_b), partner
 
 
 def masks_agree(
@@ -161,18 +161,18 @@ def masks_agree(
 ) -> BoolArray:
     """Whether slot sets agree after turning b's by quarter turns: equal, or for inexact degrees
     nearly so."""
-    turned = TURNED[mask_b, turn]
+    turned = ROTATED[mask_b, turn]
     if settings.degree == "exact":
         return np.asarray(turned == mask_a)
-    spare = settings.unmatched_branches
-    extra_a, extra_b = POPCOUNT[mask_a & ~turned], POPCOUNT[turned & ~mask_a]
-    return np.asarray((extra_a <= spare) & (extra_b <= spare) & ((mask_a & turned) != 0))
+    most = settings.unmatched_branches
+    unpaired_a, unpaired_b = POPCOUNT[mask_a & ~turned], POPCOUNT[turned & ~mask_a]
+    return np.asarray((unpaired_a <= most) & (unpaired_b <= most) & ((mask_a & turned) != 0))
 
 
 def shared_branches(a: Structure, b: Structure, nodes: Nodes, rectilinear: bool) -> IntArray:
     """(N,) number of corresponding branches that were driven in both maps."""
     if rectilinear:
-        turned = TURNED[b.explored_mask[nodes.vertex_b], nodes.correspondence]
+        turned = ROTATED[b.explored_mask[nodes.vertex_b], nodes.correspondence]
         return np.asarray(POPCOUNT[a.explored_mask[nodes.vertex_a] & turned])
     partner = partners(a, b, nodes.correspondence)
     driven = b.explored[nodes.vertex_b[:, None], np.maximum(partner, 0)] & (partner >= 0)
@@ -185,9 +185,9 @@ def node_rotations(a: Structure, b: Structure, nodes: Nodes, rectilinear: bool) 
         grid = (a.grid_rad or 0.0) - (b.grid_rad or 0.0)
         return np.asarray(wrap(grid + QUARTER * nodes.correspondence))
     partner = partners(a, b, nodes.correspondence)
-    theirs = b.unit[nodes.vertex_b[:, None], np.maximum(partner, 0)]
-    turns = np.where(partner >= 0, a.unit[nodes.vertex_a] * theirs.conj(), 0.0)
-    return np.asarray(np.angle(turns.sum(axis=1)))
+    partner_unit = b.unit[nodes.vertex_b[:, None], np.maximum(partner, 0)]
+    rotations = np.where(partner >= 0, a.unit[nodes.vertex_a] * partner_unit.conj(), 0.0)
+    return np.asarray(np.angle(rotations.sum(axis=1)))
 
 
 def encode(
@@ -269,8 +269,8 @@ class SlotClasses:
         for s, chosen in zip((a, b), near or (np.arange(len(a)), np.arange(len(b))), strict=True):
             kind = s.mask[chosen] * 16 + s.explored_mask[chosen]
             order = np.argsort(kind, kind="stable")
-            known, start = np.unique(kind[order], return_index=True)
-            kinds.append(known)
+            distinct, start = np.unique(kind[order], return_index=True)
+            kinds.append(distinct)
             rows.append(chosen[order])
             first.append(np.append(start, len(order)))
         turns = np.arange(4)
@@ -278,7 +278,7 @@ class SlotClasses:
         mask_b, driven_b = (k[None, :, None] for k in np.divmod(kinds[1], 16))
         return cls(
             compatible=masks_agree(mask_a, mask_b, turns, settings) & (mask_a > 0),
-            disjoint=np.asarray((driven_a & TURNED[driven_b, turns]) == 0),
+            disjoint=np.asarray((driven_a & ROTATED[driven_b, turns]) == 0),
             rows=(rows[0], rows[1]),
             first=(first[0], first[1]),
         )
@@ -302,19 +302,16 @@ class SlotClasses:
 
 
 def _angle_candidates(
-    a: Structure,
-    b: Structure,
-    settings: GrowthSettings,
-    near: tuple[IntArray, IntArray] | None,
+    a: Structure, b: Structure, settings: GrowthSettings, near: tuple[IntArray, IntArray] | None
 ) -> IntArray:
     """Codes of all compatible nodes on general angles, ascending; chunked over vertices of a."""
     rows, columns = near or (np.arange(len(a)), np.arange(len(b)))
     chunk = max(1, 200_000 // max(1, len(columns) * b.heading.shape[1] * a.heading.shape[1]))
-    found = [
+    codes = [
         _angle_candidates_of(a, b, (rows[low : low + chunk], columns), settings)
         for low in range(0, len(rows), chunk)
     ]
-    return np.unique(np.concatenate(found)) if found else np.zeros(0, np.int64)
+    return np.unique(np.concatenate(codes)) if codes else np.zeros(0, np.int64)
 
 
 def _angle_candidates_of(
@@ -325,16 +322,12 @@ def _angle_candidates_of(
     u, i, v, j = (
         x.reshape(-1)
         for x in np.meshgrid(
-            vertices[0],
-            np.arange(first),
-            vertices[1],
-            np.arange(b.heading.shape[1]),
-            indexing="ij",
+            vertices[0], np.arange(first), vertices[1], np.arange(b.heading.shape[1]), indexing="ij"
         )
     )
-    real = (i < a.degree[u]) & (j < b.degree[v])
+    exists = (i < a.degree[u]) & (j < b.degree[v])
     if settings.degree == "exact":
-        real &= a.degree[u] == b.degree[v]
-    u, i, v, j = u[real], i[real], v[real], j[real]
-    ok, partner = correspond(a, b, (u, i), (v, j), settings)
-    return encode(a, b, u[ok], v[ok], partner[ok])
+        exists &= a.degree[u] == b.degree[v]
+    u, i, v, j = u[exists], i[exists], v[exists], j[exists]
+    compatible, partner = correspond(a, b, (u, i), (v, j), settings)
+    return encode(a, b, u[compatible], v[compatible], partner[compatible])

@@ -1,7 +1,7 @@
 """Log likelihood ratios of associations, shared by closure, robust merging and the paper's method.
 
 An association states that two things, one of each of two views, are the same: two passes by a
-junction, two junctions, two corridors. It is judged by the log likelihood ratio of all measurements
+junction, two junctions, two corridors. Its evidence is the log likelihood ratio of all measurements
 of the two,
 
     λ = Σ_i ln p(x_i | the same thing) - ln p(x_i | any two things),
@@ -20,9 +20,9 @@ contribute little.
 *Measured in one view only.* This contributes ln(rate), where rate is how often a view misses or
 invents such a thing.
 
-A view that shows its object correctly with confidence c, and otherwise tells nothing, contributes
-ln(c e^λ + 1 - c) (`doubted`). Branches have their own sum of these terms (`branches.py`), and so
-has the growth of matches.
+A view that shows its object correctly with confidence c, and otherwise carries no information,
+contributes ln(c e^λ + 1 - c) (`doubted`). Branches have their own sum of these terms
+(`branches.py`), and so has the growth of matches.
 """
 
 from __future__ import annotations
@@ -53,11 +53,11 @@ class LikelihoodSettings:
     outlier_width: float = 4.0
     """Factor w on the standard deviation of these outliers."""
     fault_floor: float = 0.01
-    """Least share of junctions and branches that differ although both views were good (doors,
-    furniture). Tried in closure: 0.02, no change."""
+    """Least share of junctions and branches that differ between correct views (doors, furniture).
+    Tried in closure: 0.02, no change."""
     most_bits: float = 6.0
-    """Bound on the evidence of a single junction, corridor or contradiction [bits]: with a chance
-    of 1/64 it is a fault that no rate models. Tried: in merging, with 7 and 8 fewer offices are
+    """Bound on the evidence of a single junction, corridor or contradiction [bits]: a probability
+    of 1/64 of a fault beyond the modelled rates. Tried: in merging, with 7 and 8 fewer offices are
     merged; in closure, with 3 a run on tiles is closed wrongly under three times the noise."""
     gate_sigmas: float = 3.0
     """Gate for two measurements of one thing, in standard deviations: 99.7 % pass. Tried in
@@ -102,17 +102,18 @@ def log_density(q: Reals, variance: Reals) -> FloatArray:
     return np.asarray(np.log(core / np.sqrt(2 * np.pi * variance)))
 
 
-def doubted(told: FloatArray, sure: FloatArray) -> FloatArray:
-    """(k,) evidence [nats] of views that are correct only with some confidence c: ln(c e^told + 1 -
-    c).
+def doubted(if_correct: FloatArray, log_confidence: FloatArray) -> FloatArray:
+    """(k,) evidence [nats] λ of observations that are correct with confidence c: ln(c e^λ + 1 - c).
 
-    told: (k,) evidence [nats] if the views are correct; sure: (k,) ln c.
+    if_correct: (k,) λ, the evidence if they are correct; log_confidence: (k,) ln c.
     """
-    out = np.array(told)
-    rows = (sure < 0).nonzero()[0]
+    evidence = np.array(if_correct)
+    rows = (log_confidence < 0).nonzero()[0]
     if len(rows):
-        out[rows] = np.logaddexp(sure[rows] + told[rows], np.log(-np.expm1(sure[rows])))
-    return out
+        evidence[rows] = np.logaddexp(
+            log_confidence[rows] + if_correct[rows], np.log(-np.expm1(log_confidence[rows]))
+        )
+    return evidence
 
 
 def length_log_density(difference: FloatArray, variance: FloatArray) -> FloatArray:
@@ -133,9 +134,9 @@ class Lengths:
         longest length with the share `outlier_share`."""
         if len(length) == 0:
             return cls(np.ones(1))
-        spread = LIKELIHOOD.outlier_share
-        density = (1 - spread) * _smoothed(_cells(length)) / len(length)
-        return cls(density + spread / max(float(length.max()), 1.0))
+        outlier_share = LIKELIHOOD.outlier_share
+        density = (1 - outlier_share) * _smoothed(_cells(length)) / len(length)
+        return cls(density + outlier_share / max(float(length.max()), 1.0))
 
     def rarity(self, length: FloatArray) -> FloatArray:
         """Self-information -ln density [1/m] of lengths [m]."""
@@ -158,9 +159,9 @@ def density_of_equals(length: FloatArray) -> tuple[float, float]:
     if k == 0:
         return 0.0, 0.0
     cell = _cells(length)
-    near = float(_smoothed(cell)[cell].sum())
-    own = 2 * k * LIKELIHOOD.cells_per_m / LIKELIHOOD.kernel_cells
-    return near - own, float(k * (k - 2))
+    total = float(_smoothed(cell)[cell].sum())
+    self_pairs = 2 * k * LIKELIHOOD.cells_per_m / LIKELIHOOD.kernel_cells
+    return total - self_pairs, float(k * (k - 2))
 
 
 def _cells(length: FloatArray) -> IntArray:

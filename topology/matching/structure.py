@@ -1,4 +1,4 @@
-"""What structural matching needs of a map: branches, and corridors as seen from both ends.
+"""Structure of a map for matching: branches, and corridors as seen from both ends.
 
 A *dart* is a directed corridor (half-edge): dart 2k leads along edge k from source to target, dart
 2k + 1 from target to source. Preparing a map is linear in its size and done once for all
@@ -21,14 +21,14 @@ from .branches import unit_headings
 
 @dataclass(frozen=True, slots=True)
 class StructureSettings:
-    """When a map counts as rectilinear, and which branch an edge with an unknown one leaves by."""
+    """When a map is rectilinear, and how unknown branches of edges are inferred."""
 
     rectilinear_share: float = 0.88
     """A map is rectilinear if at least this share of its branches lies near the directions of one
     grid; of uniformly distributed branches a third does."""
     rectilinear_rad: float = np.pi / 12
-    """What counts as near a direction of the grid: 15°, a third of the way to halfway between two
-    directions."""
+    """Largest deviation of a branch near a direction of the grid: 15°; the largest possible is
+    three times as much."""
     inferred_rad: float = np.pi / 4
     """An edge with an unknown branch is assigned a free one within this angle of its path."""
 
@@ -49,8 +49,8 @@ class Structure:
     grid_rad: direction of the grid in [0, pi/2) if the map is rectilinear, else None; slot: (n, D)
     quarter turn 0..3 of each branch on that grid, -1 beyond the degree; mask, explored_mask: (n,)
     bit s is set if a branch (a driven branch) lies in slot s; out_slot, in_slot: (2 m,) slots of
-    out_branch and in_branch; slot_kind: (2 m,) what is invariant under quarter turns, as one
-    number: the turn between leaving and arriving (times 256) and the slots at both ends. crowded:
+    out_branch and in_branch; slot_kind: (2 m,) invariant under quarter turns, as one number: the
+    turn between leaving and arriving (times 256) and the slots at both ends. crowded:
     whether a branch (or slot) of some vertex is used by more than one dart.
     """
 
@@ -96,8 +96,8 @@ def prepare(topomap: TopoMap) -> Structure:
     bit = np.where(slot >= 0, 1 << np.maximum(slot, 0), 0)
     mask = np.bitwise_or.reduce(bit, axis=1)
     out_slot, in_slot = slot[start, out_branch], slot[end, in_branch]
-    place = out_slot if grid is not None else out_branch
-    crowded = len(np.unique(start * (width + 4) + place)) < len(start)
+    local = out_slot if grid is not None else out_branch
+    crowded = len(np.unique(start * (width + 4) + local)) < len(start)
     return Structure(
         heading=heading,
         unit=unit_headings(heading),
@@ -134,9 +134,9 @@ def padded_branches(topomap: TopoMap) -> FloatArray:
     """(n, D) headings [rad] of all vertices, NaN beyond their degree; D is at least 1."""
     rows = topomap.branches
     width = int(rows.counts.max(initial=1))
-    out = np.full((len(topomap), width), np.nan)
-    out[np.arange(width) < rows.counts[:, None]] = rows.values
-    return out
+    headings = np.full((len(topomap), width), np.nan)
+    headings[np.arange(width) < rows.counts[:, None]] = rows.values
+    return headings
 
 
 def grid_direction(heading_rad: FloatArray) -> float | None:
@@ -148,10 +148,9 @@ def grid_direction(heading_rad: FloatArray) -> float | None:
     if len(heading_rad) == 0:
         return None
     grid = float(np.angle(np.exp(4j * heading_rad).mean())) / 4 % (np.pi / 2)
-    off = np.abs(wrap(4 * (heading_rad - grid))) / 4
-    return (
-        grid if np.mean(off <= STRUCTURE.rectilinear_rad) >= STRUCTURE.rectilinear_share else None
-    )
+    deviation = np.abs(wrap(4 * (heading_rad - grid))) / 4
+    near = np.mean(deviation <= STRUCTURE.rectilinear_rad)
+    return grid if near >= STRUCTURE.rectilinear_share else None
 
 
 def _known_edges(topomap: TopoMap, heading: FloatArray) -> tuple[IntArray, IntArray, IntArray]:
@@ -169,15 +168,17 @@ def _with_inferred(
 ) -> IntArray:
     """`branches` with unknown ones set to the free branch nearest to the direction of the edge's
     path."""
-    out = branches.copy()
+    inferred = branches.copy()
     known = branches != NO_BRANCH
-    taken = set(zip(ends[known].tolist(), branches[known].tolist(), strict=True))
+    used = set(zip(ends[known].tolist(), branches[known].tolist(), strict=True))
     for k, side in np.argwhere(~known).tolist():
         vertex = int(ends[k, side])
-        off = np.abs(wrap(heading[vertex] - leaving_rad(topomap.paths[k], side)))
-        near = [int(i) for i in np.argsort(off) if off[i] <= STRUCTURE.inferred_rad]
-        free = [i for i in near if (vertex, i) not in taken]
+        deviation = np.abs(wrap(heading[vertex] - leaving_rad(topomap.paths[k], side)))
+        candidates = [
+            int(i) for i in np.argsort(deviation) if deviation[i] <= STRUCTURE.inferred_rad
+        ]
+        free = [i for i in candidates if (vertex, i) not in used]
         if free:
-            out[k, side] = free[0]
-            taken.add((vertex, free[0]))
-    return out
+            inferred[k, side] = free[0]
+            used.add((vertex, free[0]))
+    return inferred

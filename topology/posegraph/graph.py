@@ -43,11 +43,11 @@ def _nothing(*shape: int) -> FloatArray:
 
 def _kernel(width: FloatArray, count: int, name: str) -> FloatArray:
     """Read-only kernel widths (count,), infinite where none were given."""
-    out = np.array(width, np.float64) if len(width) else np.full(count, np.inf)
-    if out.shape != (count,) or not np.all(out > 0):
+    widths = np.array(width, np.float64) if len(width) else np.full(count, np.inf)
+    if widths.shape != (count,) or not np.all(widths > 0):
         raise ValueError(f"{name} needs {count} positive widths (inf: none)")
-    out.flags.writeable = False
-    return out
+    widths.flags.writeable = False
+    return widths
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -176,17 +176,16 @@ def edge_errors(graph: PoseGraph, pose: FloatArray, shared: FloatArray) -> Float
     T_i_j = corrected_measurement(graph, shared)
     step = pose[graph.target] - pose[graph.source]
     turn = wrap(step[:, 2] - T_i_j[:, 2])
-    ahead = turned(step, -pose[graph.source, 2] - graph.swing * turn) - T_i_j[:, :2]
-    off = turned(ahead, -T_i_j[:, 2])
-    return np.column_stack([off, turn])
+    offset = turned(step, -pose[graph.source, 2] - graph.swing * turn) - T_i_j[:, :2]
+    error_xy = turned(offset, -T_i_j[:, 2])
+    return np.column_stack([error_xy, turn])
 
 
 def corrected_measurement(graph: PoseGraph, shared: FloatArray) -> FloatArray:
     """(m, 3) measurements with the shared errors applied."""
     if len(graph.shared) == 0:
         return graph.measurement
-    out: FloatArray = graph.measurement + graph.shared.sensitivity @ shared
-    return out
+    return np.asarray(graph.measurement + graph.shared.sensitivity @ shared)
 
 
 def prior_errors(graph: PoseGraph, pose: FloatArray) -> FloatArray:
@@ -199,5 +198,4 @@ def prior_errors(graph: PoseGraph, pose: FloatArray) -> FloatArray:
 def squared(error: FloatArray, information: FloatArray) -> FloatArray:
     """(k,) eᵀ Ω e of every row."""
     weighted = np.matmul(information, error[:, :, None])[:, :, 0]
-    out: FloatArray = np.einsum("ki,ki->k", error, weighted)
-    return out
+    return np.asarray(np.einsum("ki,ki->k", error, weighted))

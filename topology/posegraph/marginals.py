@@ -43,20 +43,20 @@ class Marginals:
         """
         a, b = np.asarray(a, np.int64), np.asarray(b, np.int64)
         nodes = np.unique(np.concatenate([a, b]))
-        own = np.zeros((len(nodes), 3, 3))
+        variance = np.zeros((len(nodes), 3, 3))
         cross = np.zeros((len(a), 3, 3))
-        where_b = np.searchsorted(nodes, b)
-        order = np.argsort(where_b, kind="stable")
+        row_b = np.searchsorted(nodes, b)
+        order = np.argsort(row_b, kind="stable")
         starts = np.arange(0, len(nodes), _CHUNK)
-        cuts = np.searchsorted(where_b[order], np.append(starts, len(nodes)))
+        bounds = np.searchsorted(row_b[order], np.append(starts, len(nodes)))
         for chunk, first in enumerate(starts):
             chosen = nodes[first : first + _CHUNK]
             columns = self._columns(chosen)
-            local = np.arange(len(chosen))
-            own[first : first + _CHUNK] = self._read(columns, chosen, local)
-            pairs = order[cuts[chunk] : cuts[chunk + 1]]
-            cross[pairs] = self._read(columns, a[pairs], where_b[pairs] - first)
-        return own[np.searchsorted(nodes, a)], own[where_b], cross
+            number = np.arange(len(chosen))
+            variance[first : first + _CHUNK] = self._read(columns, chosen, number)
+            pairs = order[bounds[chunk] : bounds[chunk + 1]]
+            cross[pairs] = self._read(columns, a[pairs], row_b[pairs] - first)
+        return variance[np.searchsorted(nodes, a)], variance[row_b], cross
 
     def relative(self, a: IntArray, b: IntArray) -> FloatArray:
         """(k, 3, 3) covariance of T_a_b (x, y, theta of pose b in the frame of pose a).
@@ -66,10 +66,10 @@ class Marginals:
         """
         var_a, var_b, cross = self.joint(a, b)
         J_a, J_b = relative_jacobians(self.pose[a], self.pose[b])
-        mixed = J_a @ cross @ J_b.transpose(0, 2, 1)
-        out = J_a @ var_a @ J_a.transpose(0, 2, 1) + J_b @ var_b @ J_b.transpose(0, 2, 1)
-        out = out + mixed + mixed.transpose(0, 2, 1)
-        return 0.5 * (out + out.transpose(0, 2, 1))
+        cross_part = J_a @ cross @ J_b.transpose(0, 2, 1)
+        covariance = J_a @ var_a @ J_a.transpose(0, 2, 1) + J_b @ var_b @ J_b.transpose(0, 2, 1)
+        covariance = covariance + cross_part + cross_part.transpose(0, 2, 1)
+        return 0.5 * (covariance + covariance.transpose(0, 2, 1))
 
     def _columns(self, nodes: IntArray) -> FloatArray:
         """(size, 3 · nodes) columns of the inverse; zero for fixed components."""
@@ -81,17 +81,19 @@ class Marginals:
 
     def through(self, right: FloatArray) -> FloatArray:
         """(size, k) product of the covariance of all free components with columns (size, k)."""
-        out = self.factor.solve(right)
+        product = self.factor.solve(right)
         if self.factor.border.shape[1]:
             solved = self.factor.solved_border
-            out = out + solved @ np.linalg.solve(self.factor.schur, self.factor.border.T @ out)
-        return out
+            product = product + solved @ np.linalg.solve(
+                self.factor.schur, self.factor.border.T @ product
+            )
+        return product
 
     def _read(self, columns: FloatArray, rows: IntArray, local: IntArray) -> FloatArray:
         """(k, 3, 3) blocks at poses `rows` of columns of the chunk's `local`-th poses."""
         variable = self.factor.pattern.variable[rows]
-        at = columns[variable[:, :, None], (3 * local)[:, None, None] + np.arange(3)]
-        return np.where(variable[:, :, None] >= 0, at, 0.0)
+        blocks = columns[variable[:, :, None], (3 * local)[:, None, None] + np.arange(3)]
+        return np.where(variable[:, :, None] >= 0, blocks, 0.0)
 
 
 def relative_jacobians(pose_a: FloatArray, pose_b: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -82,7 +82,7 @@ def build_pattern(graph: PoseGraph, frame: Skeleton) -> Pattern:
     # The whole diagonal belongs to the pattern, so that damping always has a place to go.
     rows = np.concatenate([i, i, j, j, u, nodes])
     columns = np.concatenate([i, j, i, j, u, nodes])
-    blocks, which = np.unique(columns * n + rows, return_inverse=True)
+    blocks, block_of = np.unique(columns * n + rows, return_inverse=True)
     block_row, block_column = blocks % max(n, 1), blocks // max(n, 1)
     height = np.bincount(block_column, minlength=n)
     first = np.concatenate([[0], np.cumsum(height)[:-1]]).astype(np.int64)
@@ -90,27 +90,27 @@ def build_pattern(graph: PoseGraph, frame: Skeleton) -> Pattern:
     base = 9 * first[block_column] + 3 * (np.arange(len(blocks)) - first[block_column])
     stride = 3 * height[block_column]
     r, c = np.repeat(np.arange(3), 3), np.tile(np.arange(3), 3)
-    place = base[:, None] + c * stride[:, None] + r
+    position = base[:, None] + c * stride[:, None] + r
     free = (~frame.fixed[frame.order]).ravel()
     number = np.where(free, np.cumsum(free) - 1, _FIXED)
     row_of, column_of = np.empty((2, 9 * len(blocks)), np.int64)
-    row_of[place] = 3 * block_row[:, None] + r
-    column_of[place] = 3 * block_column[:, None] + c
-    kept = free[row_of] & free[column_of]
-    new_place = np.cumsum(kept) - 1
+    row_of[position] = 3 * block_row[:, None] + r
+    column_of[position] = 3 * block_column[:, None] + c
+    is_free = free[row_of] & free[column_of]
+    new_position = np.cumsum(is_free) - 1
     size = int(free.sum())
-    per_column = np.bincount(number[column_of[kept]], minlength=size)
+    per_column = np.bincount(number[column_of[is_free]], minlength=size)
     # Contributions to fixed components go to one slot behind the last, which is dropped.
-    slot = np.where(kept, new_place, int(kept.sum()))[place]
+    slot = np.where(is_free, new_position, int(is_free.sum()))[position]
     variable = np.empty((n, 3), np.int64)
     variable[frame.order] = number.reshape(n, 3)
-    diagonal = slot[which[4 * m + len(u) :]][:, [0, 4, 8]].ravel()
+    diagonal = slot[block_of[4 * m + len(u) :]][:, [0, 4, 8]].ravel()
     return Pattern(
         variable,
         size,
-        number[row_of[kept]].astype(np.int32),
+        number[row_of[is_free]].astype(np.int32),
         np.concatenate([[0], np.cumsum(per_column)]).astype(np.int32),
-        slot[which[: 4 * m + len(u)]],
+        slot[block_of[: 4 * m + len(u)]],
         diagonal[free],
         frame.rigid,
     )
@@ -167,13 +167,12 @@ class NormalEquations:
         """The Schur complement S with eigenvalues no smaller than the prior information of b
         allows: rounding can make them smaller."""
         sigma = 1.0 / np.sqrt(self.belief)
-        share = sigma[:, None] * (0.5 * (schur + schur.T)) * sigma
-        if not len(schur) or np.linalg.eigvalsh(share)[0] >= 1:
+        scaled = sigma[:, None] * (0.5 * (schur + schur.T)) * sigma
+        if not len(schur) or np.linalg.eigvalsh(scaled)[0] >= 1:
             return schur
-        values, vectors = np.linalg.eigh(share)
+        values, vectors = np.linalg.eigh(scaled)
         root = vectors / sigma[:, None]
-        out: FloatArray = (root * np.maximum(values, 1.0)) @ root.T
-        return out
+        return np.asarray((root * np.maximum(values, 1.0)) @ root.T)
 
     def step(self, factor: Factor) -> tuple[FloatArray, FloatArray]:
         """Gauss–Newton step: (n, 3) of the poses, zero where fixed, and (k,) of the border."""
@@ -183,10 +182,10 @@ class NormalEquations:
             right = self.border_gradient - factor.border.T @ x
             b = np.asarray(np.linalg.solve(factor.schur, right), np.float64)
             x = x - factor.solved_border @ b
-        out = np.zeros(self.pattern.variable.shape)
+        step = np.zeros(self.pattern.variable.shape)
         free = self.pattern.variable >= 0
-        out[free] = x[self.pattern.variable[free]]
-        return out, b
+        step[free] = x[self.pattern.variable[free]]
+        return step, b
 
     def promise(self, move: FloatArray, shift: FloatArray) -> float:
         """gᵀ x: the decrease of the cost under a full step if the cost were quadratic."""
@@ -236,7 +235,7 @@ def linearise(graph: PoseGraph, pattern: Pattern, at: Point) -> NormalEquations:
     c, s = np.cos(phi), np.sin(phi)
     step = pose[graph.target, :2] - pose[graph.source, :2]
     lever_i, lever_j = ((1 - graph.swing) * step.T), -graph.swing * step.T
-    G = _turned(graph.information, c, s) * at.edge_weight
+    G = _rotated(graph.information, c, s) * at.edge_weight
     blocks = np.empty((4 * m + len(graph.priors), 3, 3))
     H_ii, H_ij, H_ji, H_jj = (blocks[k * m : (k + 1) * m].transpose(1, 2, 0) for k in range(4))
     at_i, at_j = _through(G, lever_i), -_through(G, lever_j)
@@ -248,7 +247,7 @@ def linearise(graph: PoseGraph, pattern: Pattern, at: Point) -> NormalEquations:
     data = summed(pattern.slot.ravel(), blocks.ravel(), len(pattern.indices) + 1)[:-1]
 
     ends = (graph.source, graph.target, graph.priors.node)
-    pull = _pulled(G, _turned_back(error, c, s))
+    pull = _product(G, _rotated_back(error, c, s))
     pull_i, pull_j = _through(pull, lever_i), -_through(pull, lever_j)
     known = _times(blocks[4 * m :], prior_errors(graph, pose))
     gradient = _scatter(pattern, ends, (pull_i.T, pull_j.T, known))
@@ -258,7 +257,7 @@ def linearise(graph: PoseGraph, pattern: Pattern, at: Point) -> NormalEquations:
     if k:
         J_b = np.matmul(measurement_jacobian(graph, pose, shared), graph.shared.sensitivity)
         for column in range(k):
-            G_b = _pulled(G, _turned_back(J_b[:, :, column], c, s))
+            G_b = _product(G, _rotated_back(J_b[:, :, column], c, s))
             both = (_through(G_b, lever_i).T, -_through(G_b, lever_j).T)
             border[:, column] = -_scatter(pattern, ends[:2], both)
         weighted = np.matmul(graph.information * at.edge_weight[:, None, None], J_b)
@@ -268,7 +267,7 @@ def linearise(graph: PoseGraph, pattern: Pattern, at: Point) -> NormalEquations:
     return NormalEquations(pattern, data, gradient, border, slope, corner, belief, definite)
 
 
-def _turned(information: FloatArray, c: FloatArray, s: FloatArray) -> FloatArray:
+def _rotated(information: FloatArray, c: FloatArray, s: FloatArray) -> FloatArray:
     """(3, 3, m) Bᵀ Ω B for B = diag([[c, s], [-s, c]], 1)."""
     xx, xy, xt = information[:, 0, 0], information[:, 0, 1], information[:, 0, 2]
     yy, yt, tt = information[:, 1, 1], information[:, 1, 2], information[:, 2, 2]
@@ -283,13 +282,13 @@ def _turned(information: FloatArray, c: FloatArray, s: FloatArray) -> FloatArray
     return G
 
 
-def _turned_back(vector: FloatArray, c: FloatArray, s: FloatArray) -> FloatArray:
+def _rotated_back(vector: FloatArray, c: FloatArray, s: FloatArray) -> FloatArray:
     """(3, m) Bᵀ v of (m, 3): from the frame of the measurement to that of the graph."""
     x, y, theta = vector.T
     return np.stack([c * x - s * y, s * x + c * y, theta])
 
 
-def _pulled(G: FloatArray, vector: FloatArray) -> FloatArray:
+def _product(G: FloatArray, vector: FloatArray) -> FloatArray:
     """(3, m) G v of (3, m) vectors: gradient of the cost at the end of each edge."""
     return np.stack([row[0] * vector[0] + row[1] * vector[1] + row[2] * vector[2] for row in G])
 
@@ -303,8 +302,7 @@ def _through(pull: FloatArray, lever: FloatArray) -> FloatArray:
 
 def _times(matrix: FloatArray, vector: FloatArray) -> FloatArray:
     """(k, 3, 3) times (k, 3)."""
-    out: FloatArray = np.matmul(matrix, vector[:, :, None])[:, :, 0]
-    return out
+    return np.asarray(np.matmul(matrix, vector[:, :, None])[:, :, 0])
 
 
 def _scatter(
@@ -324,10 +322,10 @@ def measurement_jacobian(graph: PoseGraph, pose: FloatArray, shared: FloatArray)
     error = edge_errors(graph, pose, shared)
     c, s = np.cos(T_i_j[:, 2]), np.sin(T_i_j[:, 2])
     x, y = T_i_j[:, :2].T
-    out = np.zeros((len(c), 3, 3))
-    out[:, 0, 0], out[:, 0, 1] = -c, -s
-    out[:, 1, 0], out[:, 1, 1] = s, -c
-    out[:, 0, 2] = error[:, 1] - graph.swing * (error[:, 1] + c * y - s * x)
-    out[:, 1, 2] = -error[:, 0] + graph.swing * (error[:, 0] + c * x + s * y)
-    out[:, 2, 2] = -1.0
-    return out
+    jacobian = np.zeros((len(c), 3, 3))
+    jacobian[:, 0, 0], jacobian[:, 0, 1] = -c, -s
+    jacobian[:, 1, 0], jacobian[:, 1, 1] = s, -c
+    jacobian[:, 0, 2] = error[:, 1] - graph.swing * (error[:, 1] + c * y - s * x)
+    jacobian[:, 1, 2] = -error[:, 0] + graph.swing * (error[:, 0] + c * x + s * y)
+    jacobian[:, 2, 2] = -1.0
+    return jacobian

@@ -19,14 +19,7 @@ from ..arrays import FloatArray, IntArray
 from ..se2 import turned_axes
 from .graph import PoseGraph, corrected_measurement, edge_errors
 from .marginals import relative_jacobians
-from .normal_equations import (
-    Factor,
-    Pattern,
-    Point,
-    build_pattern,
-    linearise,
-    measurement_jacobian,
-)
+from .normal_equations import Factor, Pattern, Point, build_pattern, linearise, measurement_jacobian
 from .skeleton import skeleton
 
 
@@ -35,9 +28,9 @@ class _Linearised:
     """A graph linearised and factorised at its solution.
 
     J_i, J_j, J_b: derivatives of the edge errors with respect to source pose, target pose and
-    shared errors; own, own_known: square roots R of the information of edges and priors, with which
-    Rᵀ e is white; root: by what white errors are multiplied on their way into the gradient; push,
-    push_known: sparse maps from white errors of edges and priors to the gradient.
+    shared errors; own, own_known: square roots R of the information of edges and priors, so that
+    Rᵀ e is white; root: R with the weights of the solution; push, push_known: sparse maps from
+    white errors of edges and priors to the gradient.
     """
 
     graph: PoseGraph
@@ -60,14 +53,17 @@ class _Linearised:
         J_i, J_j = _jacobians(graph, solution.pose, solution.shared)
         J_m = measurement_jacobian(graph, solution.pose, solution.shared)
         weights = (solution.edge_weight[:, None, None], solution.prior_weight[:, None, None])
-        own, own_known = (square_root(of.information) for of in (graph, graph.priors))
+        root_information, root_prior = (square_root(of.information) for of in (graph, graph.priors))
         if outliers:
-            own, own_known = own * np.sqrt(weights[0]), own_known * np.sqrt(weights[1])
-            root, known = own, own_known
+            root_information, root_prior = (
+                root_information * np.sqrt(weights[0]),
+                root_prior * np.sqrt(weights[1]),
+            )
+            scaled, scaled_prior = root_information, root_prior
         else:
-            root, known = own * weights[0], own_known * weights[1]
-        push = _scattered(pattern, graph.source, J_i.transpose(0, 2, 1) @ root)
-        push = push + _scattered(pattern, graph.target, J_j.transpose(0, 2, 1) @ root)
+            scaled, scaled_prior = root_information * weights[0], root_prior * weights[1]
+        push = _scattered(pattern, graph.source, J_i.transpose(0, 2, 1) @ scaled)
+        push = push + _scattered(pattern, graph.target, J_j.transpose(0, 2, 1) @ scaled)
         return cls(
             graph=graph,
             pattern=pattern,
@@ -75,11 +71,11 @@ class _Linearised:
             J_i=J_i,
             J_j=J_j,
             J_b=J_m @ graph.shared.sensitivity,
-            own=own,
-            own_known=own_known,
-            root=root,
+            own=root_information,
+            own_known=root_prior,
+            root=scaled,
             push=push,
-            push_known=_scattered(pattern, graph.priors.node, known),
+            push_known=_scattered(pattern, graph.priors.node, scaled_prior),
         )
 
     def moved(
@@ -119,7 +115,7 @@ class SampledMarginals:
 
     @property
     def factor(self) -> Factor:
-        """That of the normal matrix at the solution."""
+        """The factors of the normal matrix at the solution."""
         return self._system.factor
 
     @cached_property
@@ -127,18 +123,18 @@ class SampledMarginals:
         """(m, 3, count) sampled residuals of the edges after solving, in sigmas (Rᵀ e, R from
         `square_root`). 0 for an edge that no other measurement checks; the mean square is the
         edge's redundancy."""
-        at, graph = self._system, self._system.graph
-        edge = at.J_i @ self.error[graph.source] + at.J_j @ self.error[graph.target]
+        system, graph = self._system, self._system.graph
+        error = system.J_i @ self.error[graph.source] + system.J_j @ self.error[graph.target]
         if len(self.shared):
-            edge = edge + at.J_b @ self.shared
-        return self._z.reshape(edge.shape) - at.own.transpose(0, 2, 1) @ edge
+            error = error + system.J_b @ self.shared
+        return self._z.reshape(error.shape) - system.own.transpose(0, 2, 1) @ error
 
     @cached_property
     def prior_residual(self) -> FloatArray:
         """(u, 3, count) the same for the priors."""
-        at, count = self._system, self.error.shape[2]
-        off = at.own_known.transpose(0, 2, 1) @ self.error[at.graph.priors.node]
-        return self._z_known.reshape(-1, 3, count) - off
+        system, count = self._system, self.error.shape[2]
+        error = system.own_known.transpose(0, 2, 1) @ self.error[system.graph.priors.node]
+        return self._z_known.reshape(-1, 3, count) - error
 
     @classmethod
     def of(
@@ -160,8 +156,8 @@ class SampledMarginals:
     def by_edges(self, sigma: FloatArray) -> SampledMarginals:
         """The same samples if the only errors were those of the edges, with 1 sigma (m, 3) each [m,
         m, rad]. `count` more solves. Only for samples made with outliers=False."""
-        off = sigma[:, :, None] * self._z.reshape(-1, 3, self.error.shape[2])
-        z = (self._system.own.transpose(0, 2, 1) @ off).reshape(self._z.shape)
+        error_samples = sigma[:, :, None] * self._z.reshape(-1, 3, self.error.shape[2])
+        z = (self._system.own.transpose(0, 2, 1) @ error_samples).reshape(self._z.shape)
         z_known = np.zeros_like(self._z_known)
         error, shared = self._system.moved(z, z_known, np.zeros_like(self.shared))
         return replace(self, error=error, shared=shared, _z=z, _z_known=z_known)
@@ -170,9 +166,8 @@ class SampledMarginals:
         """(k, 3, 3) sample covariance of T_a_b, with a relative standard error of √(2 / count);
         compare `Marginals.relative`."""
         J_a, J_b = relative_jacobians(self.pose[a], self.pose[b])
-        off = J_a @ self.error[a] + J_b @ self.error[b]
-        out: FloatArray = off @ off.transpose(0, 2, 1) / self.error.shape[2]
-        return out
+        error = J_a @ self.error[a] + J_b @ self.error[b]
+        return np.asarray(error @ error.transpose(0, 2, 1) / self.error.shape[2])
 
 
 def white(seed: int, shapes: Sequence[tuple[int, ...]]) -> list[FloatArray]:
@@ -228,8 +223,7 @@ def square_root(information: FloatArray) -> FloatArray:
     """
     values, vectors = np.linalg.eigh(information)
     roots = np.sqrt(np.maximum(values, 0.0))[:, None, :]
-    out: FloatArray = (vectors * roots) @ vectors.transpose(0, 2, 1)
-    return out
+    return np.asarray((vectors * roots) @ vectors.transpose(0, 2, 1))
 
 
 def _scattered(
@@ -239,6 +233,8 @@ def _scattered(
     variable = pattern.variable[node]
     rows = np.repeat(variable, 3, axis=1).ravel()
     columns = np.repeat(np.arange(3 * len(node)).reshape(-1, 3), 3, axis=0).ravel()
-    keep = rows >= 0
+    is_free = rows >= 0
     shape = (pattern.size, 3 * len(node))
-    return sparse.csr_array((blocks.ravel()[keep], (rows[keep], columns[keep])), shape=shape)
+    return sparse.csr_array(
+        (blocks.ravel()[is_free], (rows[is_free], columns[is_free])), shape=shape
+    )

@@ -1,4 +1,4 @@
-"""What stays constant while a pose graph is solved: elimination order and gauge."""
+"""Elimination order and gauge of a pose graph, constant while it is solved."""
 
 from __future__ import annotations
 
@@ -20,12 +20,9 @@ _THIN = 1e-9
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Skeleton:
-    """What stays constant while a pose graph is solved.
-
-    order: (n,) poses in an elimination order that keeps the factors sparse (minimum degree); fixed:
-    (n, 3) pose components that are held fixed, those of one pose per connected component where its
-    frame would be free; rigid: whether it is certain that no other freedom is left.
-    """
+    """order: (n,) poses in an elimination order that keeps the factors sparse (minimum degree);
+    fixed: (n, 3) pose components that are held fixed, of one pose per connected component whose
+    frame would be free; rigid: whether there is certainly no other freedom."""
 
     order: IntArray
     fixed: BoolArray
@@ -39,9 +36,9 @@ def skeleton(graph: PoseGraph) -> Skeleton:
     if n > 1:
         # The fill of the 3n × 3n system follows that of the n × n graph: order the small one.
         i, j, links = graph.source, graph.target, -np.ones(len(graph.source))
-        beside = 1.0 + np.bincount(i, minlength=n) + np.bincount(j, minlength=n)
+        degree = 1.0 + np.bincount(i, minlength=n) + np.bincount(j, minlength=n)
         ends = np.concatenate([i, j, order]), np.concatenate([j, i, order])
-        laplacian = sparse.csc_array((np.concatenate([links, links, beside]), ends), shape=(n, n))
+        laplacian = sparse.csc_array((np.concatenate([links, links, degree]), ends), shape=(n, n))
         factors = splu(
             laplacian,
             permc_spec="MMD_AT_PLUS_A",
@@ -49,9 +46,9 @@ def skeleton(graph: PoseGraph) -> Skeleton:
             options={"SymmetricMode": True},
         )
         order = np.argsort(factors.perm_c).astype(np.int64)
-    piece = _groups(graph, graph.information[:, 0, 0] + graph.information[:, 1, 1] > 0)
-    fixed = _gauge(graph, piece)
-    return Skeleton(order, fixed, _is_rigid(graph, piece, fixed))
+    component = _groups(graph, graph.information[:, 0, 0] + graph.information[:, 1, 1] > 0)
+    fixed = _gauge(graph, component)
+    return Skeleton(order, fixed, _is_rigid(graph, component, fixed))
 
 
 def summed(where: IntArray, values: NDArray[Any], size: int) -> FloatArray:
@@ -64,7 +61,7 @@ def _groups(graph: PoseGraph, joined: BoolArray) -> IntArray:
     return connected(graph.source[joined], graph.target[joined], len(graph))
 
 
-def _gauge(graph: PoseGraph, piece: IntArray) -> BoolArray:
+def _gauge(graph: PoseGraph, component: IntArray) -> BoolArray:
     """(n, 3) components of single poses to hold fixed so that no frame is free.
 
     piece: (n,) connected component of each pose by edges with position information. A component can
@@ -73,30 +70,30 @@ def _gauge(graph: PoseGraph, piece: IntArray) -> BoolArray:
     depend on the poses and are found in the factors (`NormalEquations.factorise`).
     """
     n, prior, weight = len(graph), graph.priors, graph.information
-    known = np.zeros((n, 3), bool)
-    np.logical_or.at(known, prior.node, np.einsum("kii->ki", prior.information) > 0)
+    has_prior = np.zeros((n, 3), bool)
+    np.logical_or.at(has_prior, prior.node, np.einsum("kii->ki", prior.information) > 0)
     shifts, turns = weight[:, 0, 0] + weight[:, 1, 1] > 0, weight[:, 2, 2] > 0
     measured = np.zeros(n, bool)
     measured[graph.source[shifts | turns]] = measured[graph.target[turns]] = True
-    body = _groups(graph, shifts | turns) if np.any(turns & ~shifts) else piece
+    body = _groups(graph, shifts | turns) if np.any(turns & ~shifts) else component
     fixed = np.zeros((n, 3), bool)
-    fixed[:, 2] |= ~(measured | known[:, 2])
+    fixed[:, 2] |= ~(measured | has_prior[:, 2])
     for axis in range(2):
-        fixed[_first_without(piece, known[:, axis]), axis] = True
+        fixed[_first_without(component, has_prior[:, axis]), axis] = True
     # A body of several pieces can turn if each piece can, about a point of its own.
-    anchors = summed(piece, known[:, 0] | known[:, 1], n)[piece] > 1
-    stays = anchors | (known[:, 2] & measured)
-    fixed[_first_without(body, stays, measured), 2] = True
+    anchors = summed(component, has_prior[:, 0] | has_prior[:, 1], n)[component] > 1
+    is_held = anchors | (has_prior[:, 2] & measured)
+    fixed[_first_without(body, is_held, measured), 2] = True
     return fixed
 
 
-def _is_rigid(graph: PoseGraph, piece: IntArray, fixed: BoolArray) -> bool:
+def _is_rigid(graph: PoseGraph, component: IntArray, fixed: BoolArray) -> bool:
     """Whether edges of full rank connect every pose to a fixed x, y and heading."""
     xx, xy, xt, _, yy, yt, _, _, tt = graph.information.reshape(-1, 9).T
     volume = xx * (yy * tt - yt * yt) - xy * (xy * tt - yt * xt) + xt * (xy * yt - yy * xt)
-    whole = (volume > _THIN * xx * yy * tt) & (xx * yy > xy * xy)
-    body = piece if whole.all() else _groups(graph, whole)
-    return not any(len(_first_without(body, fixed[:, k])) for k in range(3))
+    full_rank = (volume > _THIN * xx * yy * tt) & (xx * yy > xy * xy)
+    component_of_full_rank = component if full_rank.all() else _groups(graph, full_rank)
+    return not any(len(_first_without(component_of_full_rank, fixed[:, k])) for k in range(3))
 
 
 def _first_without(group: IntArray, has: BoolArray, among: BoolArray | None = None) -> IntArray:

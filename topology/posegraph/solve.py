@@ -83,21 +83,21 @@ def solve(graph: PoseGraph, settings: SolverSettings = SolverSettings()) -> Solu
     return _Problem(graph).minimise(settings)
 
 
-def _excess(promised: float, before: float) -> float:
-    """Estimate of how far the cost lies above its minimum, from the decreases that two consecutive
-    full steps promised.
+def _excess(promised: float, last_promised: float) -> float:
+    """Estimate of how far the cost lies above its minimum, from the decreases that two
+    consecutive full steps promised.
 
-    Where the curvature is a share s of what the factors say, a step covers the share s of the way:
+    Where the curvature is a share s of that of the factors, a step covers the share s of the way:
     the next one promises (1 − s)² as much, and the cost is promised / s too high. s = 1 for exact
     curvature, less with robust kernels or reused factors.
     """
-    share = 1.0 - np.sqrt(min(promised / before, 1.0)) if before > 0 else 0.0
+    share = 1.0 - np.sqrt(min(promised / last_promised, 1.0)) if last_promised > 0 else 0.0
     return promised / max(share, _LEAST_SHARE)
 
 
-def _lower(there: Solution, here: Solution, iterations: int) -> Solution:
-    """The end of the last step with the lower cost, marked as converged."""
-    best = there if there.cost <= here.cost else here
+def _converged(moved: Solution, current: Solution, iterations: int) -> Solution:
+    """The better end of the last step, marked as converged."""
+    best = moved if moved.cost <= current.cost else current
     return replace(best, iterations=iterations, converged=True)
 
 
@@ -145,53 +145,53 @@ class _Problem:
         far, which is the way into a narrow curved valley. Otherwise return to the best point and
         damp.
         """
-        best = here = self._evaluate(np.array(self.graph.pose), np.zeros(len(self.graph.shared)))
+        best = current = self._evaluate(np.array(self.graph.pose), np.zeros(len(self.graph.shared)))
         damping = _Damping(settings.first_damping)
-        leaps, iterations, chords, before = 0, 0, 0, 0.0
+        rises, iterations, chords, last_promised = 0, 0, 0, 0.0
         factor: Factor | None = None
         while iterations < settings.max_iterations:
-            system = linearise(self.graph, self.pattern, here)
-            enough = settings.relative_tolerance * best.cost + settings.absolute_tolerance
-            if factor is not None and here is best and chords < _MOST_CHORDS:
+            system = linearise(self.graph, self.pattern, current)
+            tolerance = settings.relative_tolerance * best.cost + settings.absolute_tolerance
+            if factor is not None and current is best and chords < _MOST_CHORDS:
                 chords += 1
                 # Near the minimum the last factors are good enough, at a tenth of the cost.
-                there, promised = self._moved(system, factor, here)
-                if _excess(promised, before) <= enough:
-                    return _lower(there, best, iterations)
-                if promised <= settings.chord_share * best.cost and there.cost <= best.cost:
-                    here, best, before = there, there, promised
+                moved, promised = self._step(system, factor, current)
+                if _excess(promised, last_promised) <= tolerance:
+                    return _converged(moved, best, iterations)
+                if promised <= settings.chord_share * best.cost and moved.cost <= best.cost:
+                    current, best, last_promised = moved, moved, promised
                     continue
-            iterations, chords, full = iterations + 1, 0, damping.now == 0
+            iterations, chords, undamped = iterations + 1, 0, damping.now == 0
             factors = system.factorise(damping.now)
-            there, promised = self._moved(system, factors, here)
-            factor = factors if full else None
-            if full and here is best:
-                if _excess(promised, before) <= enough:
-                    return _lower(there, best, iterations)
-                before = promised
-            if there.cost <= best.cost:
-                damping.adapt(best.cost - there.cost, promised)
-                if promised <= enough:
+            moved, promised = self._step(system, factors, current)
+            factor = factors if undamped else None
+            if undamped and current is best:
+                if _excess(promised, last_promised) <= tolerance:
+                    return _converged(moved, best, iterations)
+                last_promised = promised
+            if moved.cost <= best.cost:
+                damping.adapt(best.cost - moved.cost, promised)
+                if promised <= tolerance:
                     damping.now = 0.0  # short steps promise little: test with a full one
-                here = best = there
-                leaps = 0 if full else leaps
-            elif full and leaps < settings.patience and np.isfinite(there.cost):
-                here, leaps = there, leaps + 1
+                current = best = moved
+                rises = 0 if undamped else rises
+            elif undamped and rises < settings.patience and np.isfinite(moved.cost):
+                current, rises = moved, rises + 1
             else:
-                here, leaps = best, settings.patience
+                current, rises = best, settings.patience
                 damping.tighten()
         return replace(best, iterations=iterations)
 
-    def _moved(
-        self, system: NormalEquations, factor: Factor, here: Solution
+    def _step(
+        self, system: NormalEquations, factor: Factor, current: Solution
     ) -> tuple[Solution, float]:
         """The end of a step, and the decrease of the cost that it would bring if the cost were
         quadratic."""
-        move, shift = system.step(factor)
-        pose = here.pose + move
+        pose_step, shared_step = system.step(factor)
+        pose = current.pose + pose_step
         pose[:, 2] = np.where(self.frame.fixed[:, 2], pose[:, 2], wrap(pose[:, 2]))
-        there = self._evaluate(pose, here.shared + shift)
-        return there, system.promise(move, shift)
+        moved = self._evaluate(pose, current.shared + shared_step)
+        return moved, system.promise(pose_step, shared_step)
 
     def _evaluate(self, pose: FloatArray, shared: FloatArray) -> Solution:
         graph = self.graph
@@ -199,8 +199,8 @@ class _Problem:
         prior_chi2 = squared(prior_errors(graph, pose), graph.priors.information)
         edge_cost, edge_weight = _cauchy(edge_chi2, graph.kernel)
         prior_cost, prior_weight = _cauchy(prior_chi2, graph.priors.kernel)
-        belief = np.square(shared / graph.shared.sigma).sum()
-        cost = float(edge_cost.sum() + prior_cost.sum() + belief)
+        shared_cost = np.square(shared / graph.shared.sigma).sum()
+        cost = float(edge_cost.sum() + prior_cost.sum() + shared_cost)
         return Solution(
             pose,
             shared,
@@ -218,6 +218,6 @@ def _cauchy(chi2: FloatArray, width: FloatArray) -> tuple[FloatArray, FloatArray
     """Cost c² log(1 + χ²/c²) and its weight 1 / (1 + χ²/c²); χ² and 1 for an infinite width."""
     square = np.square(width)
     ratio = chi2 / square
-    plain = np.isinf(width)
-    cost = np.where(plain, chi2, np.where(plain, 1.0, square) * np.log1p(ratio))
+    no_kernel = np.isinf(width)
+    cost = np.where(no_kernel, chi2, np.where(no_kernel, 1.0, square) * np.log1p(ratio))
     return cost, 1.0 / (1.0 + ratio)

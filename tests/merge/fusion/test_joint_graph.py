@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from topobatch.merge.fusion.joint_graph import settle
+from topobatch.merge.fusion.joint_graph import optimise_poses
 from topobatch.merge.fusion.vertex_partition import Pool
 from topobatch.topology.topomap import RunNoise
 
@@ -25,7 +25,7 @@ def settled(maps, identities):
     label = np.arange(sum(len(m) for m in maps))
     for k in identities:
         label[k :: len(maps[0])] = k
-    return settle(Pool.of(maps), label, {m.run: np.zeros(3) for m in maps})
+    return optimise_poses(Pool.of(maps), label, {m.run: np.zeros(3) for m in maps})
 
 
 def test_each_run_is_given_its_scale(draw):

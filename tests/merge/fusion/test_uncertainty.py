@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from topobatch.merge.fusion.fuse import fuse
-from topobatch.merge.fusion.joint_graph import SOLVER, pass_counts, settle
+from topobatch.merge.fusion.joint_graph import SOLVER, optimise_poses, pass_counts
 from topobatch.merge.fusion.uncertainty import fused_sigmas
 from topobatch.merge.fusion.vertex_partition import Pool
 from topobatch.merge.result import Alignment, PairVerdict, Verdict
@@ -44,7 +44,7 @@ def test_spread_is_the_covariance_of_rigid_fits_of_the_truth(draw):
     pool = Pool.of(maps)
     label = np.concatenate([np.arange(first, first + 9) for first in firsts.values()])
     start = {name: np.array([6.0 * k, 1.5 * (k % 2), 0.0]) for name, k in firsts.items()}
-    joint = settle(pool, label, start)
+    joint = optimise_poses(pool, label, start)
     *_, found = fused_sigmas(pool, label, joint.graph, joint.solution, ())
     true = np.zeros((len(pool), 3))
     true[:, :2] = np.column_stack([6.0 * label, 1.5 * (label % 2)])

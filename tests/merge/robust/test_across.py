@@ -38,12 +38,12 @@ def test_more_runs_tell_more_than_two(sizes):
     own, _ = sizes
     components = Components(4, ())
     across = {pair: own.joins[pair] for pair in ((0, 2), (0, 3), (1, 2), (1, 3))}
-    alone = own._sigmas(components, (0, 2), {(0, 2): across[0, 2]})
+    alone = own._size_sigmas(components, (0, 2), {(0, 2): across[0, 2]})
     for i, j in ((0, 1), (2, 3)):
         components.join(i, j, own.joins[i, j].transform)
-    together = own._sigmas(components, (0, 2), across)
+    together = own._size_sigmas(components, (0, 2), across)
     assert alone < own.most_sigmas < together < 2 * alone
-    assert own._sigmas(components, (1, 3), across) == pytest.approx(together)
+    assert own._size_sigmas(components, (1, 3), across) == pytest.approx(together)
     larger = PairVerdict(
         "a", "d", Verdict.AMBIGUOUS, False, 20.0, "", best=across[0, 3], lacks=OTHER_SIZE
     )

@@ -8,7 +8,7 @@ import pytest
 from topobatch.merge.robust.alignment import match, self_matches
 from topobatch.merge.robust.conflicts import NO_CONFLICTS
 from topobatch.merge.robust.prepare import prepare
-from topobatch.merge.robust.repetition import SHARES, copy_model, sameness_of
+from topobatch.merge.robust.repetition import SHARES, copy_model, sameness
 from topobatch.merge.robust.support import NO_SUPPORT
 from topobatch.topology.ragged import Ragged
 from topobatch.topology.se2 import wrap
@@ -32,7 +32,7 @@ def test_the_same_place_and_a_copy_of_it_are_told_apart(maze, see):
         stretched[:, axis] = np.cumsum(gaps)[line]
     other = prepare(_redrawn(copy, stretched))
     cases = [(a, m, match(a, m, SETTINGS)[0]) for m in (again, other)]
-    same, copied = sameness_of(cases, COPIES)
+    same, copied = sameness(cases, COPIES)
     assert same.bits > 10
     assert copied.bits < 2
 
@@ -46,10 +46,10 @@ def test_an_alignment_of_walls_alone_is_tested_beside_others(maze, see):
         found, a=none, b=none, turn=np.zeros(0, complex), support=NO_SUPPORT, conflicts=NO_CONFLICTS
     )
     cases = [(a, b, c) for c in (bare, found, bare)]
-    first, alone, last = sameness_of(cases, COPIES)
+    first, alone, last = sameness(cases, COPIES)
     assert (first.bits, first.compared, first.changed) == (last.bits, last.compared, 0)
     assert first.bits == 0
-    assert alone.bits == pytest.approx(next(iter(sameness_of(cases[1:2], COPIES))).bits)
+    assert alone.bits == pytest.approx(next(iter(sameness(cases[1:2], COPIES))).bits)
 
 
 def _redrawn(topomap, xy):

@@ -17,7 +17,7 @@ from topobatch.merge.robust.verdict import (
     NO_WORSE,
     _missing,
     assess,
-    misfits,
+    repetition_by_misfit,
     threshold_for,
     uniformity,
 )
@@ -46,18 +46,18 @@ def test_few_junctions_carry_little_whatever_they_seem_to_tell(drawn):
     view = assess(a, b, [told], among_many)
     assert view.verdict is Verdict.AMBIGUOUS
     (answers,) = view.ranked
-    assert answers.carried == MATCH.junction_bits * len(told)
-    assert view.bits == answers.from_copies < answers.carried
+    assert answers.chance_bits == MATCH.junction_bits * len(told)
+    assert view.bits == answers.copy_bits < answers.chance_bits
     assert "another copy" in view.why
     unasked = replace(answers, copy_test=None)
-    assert unasked.bits == answers.carried
+    assert unasked.bits == answers.chance_bits
     assert _missing(unasked, None, among_many) == "chance offers as much too often"
     # Beyond its threshold the test for copies bounds the less, the less likely a copy is.
     for repetition, carried in ((1.0, 1.5), (0.5, 3.0), (0.0, np.inf)):
         tested = CopyTest(bits=6.0, needed_bits=4.5, repetition=repetition)
-        assert replace(answers, copy_test=tested).from_copies == answers.need + carried
+        assert replace(answers, copy_test=tested).copy_bits == answers.need + carried
     tested = CopyTest(bits=3.0, needed_bits=4.5, repetition=0.5)
-    assert replace(answers, copy_test=tested).from_copies == answers.need - 1.5
+    assert replace(answers, copy_test=tested).copy_bits == answers.need - 1.5
 
 
 def test_what_fits_worse_than_noise_is_asked_whether_it_is_a_copy(drawn):
@@ -78,7 +78,7 @@ def test_what_fits_worse_than_noise_is_asked_whether_it_is_a_copy(drawn):
             assert fits > 0.1
         else:
             assert fits == pytest.approx(chi2.sf((off**2).sum(), len(j)))
-        assert misfits(a, other, told) == asked
+        assert repetition_by_misfit(a, other, told) == asked
         found = assess(a, other, [told], threshold)
         (answers,) = found.ranked
         assert _repetition(answers) == max(asked, uniformity(a, other))
@@ -105,7 +105,7 @@ def test_furniture_shifts_junctions_not_walls(drawn):
     for off_m, asked in ((0.0, 0.0), (0.6, 1.0)):
         transform = np.array([[0.0, 0.0, 0.0], [off_m, 0.0, 0.0], [0.0, 0.0, 0.0]])
         seen = replace(told, views=replace(evidence, transform=transform))
-        assert misfits(a, b, seen) == asked
+        assert repetition_by_misfit(a, b, seen) == asked
 
 
 def _repetition(answers):
@@ -139,7 +139,7 @@ def test_floors_of_one_plan_that_differ_a_little_are_not_merged(see):
     threshold = threshold_for(1, 1, COPIES, SETTINGS)
     views = [assess(a, m, match(a, m, SETTINGS), threshold) for m in (again, moved)]
     assert [view.verdict for view in views] == [Verdict.MERGED, Verdict.AMBIGUOUS]
-    assert views[1].ranked[0].carried > views[1].need_bits  # beyond chance, and yet
+    assert views[1].ranked[0].chance_bits > views[1].need_bits  # beyond chance, and yet
     assert views[1].why == MAYBE_COPY
 
 

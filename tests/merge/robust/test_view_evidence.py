@@ -1,5 +1,6 @@
 """What views say of a placement."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,14 +12,16 @@ from topobatch.merge.robust.view_evidence import (
     DETAILED_Z,
     PART_BITS,
     UNSEEN_BITS,
-    judged,
-    laid,
-    refined,
+    Overlap,
+    ViewEvidence,
+    overlaps,
+    refine,
     repeats,
     revisits,
+    view_evidence,
     worth_judging,
 )
-from topobatch.merge.robust.view_search import pictured, placements
+from topobatch.merge.robust.view_search import Picture, pictured, placements
 from topobatch.topology.se2 import compose, inverse, wrap
 
 from .rooms import line, views_of, walls_of
@@ -26,22 +29,28 @@ from .rooms import line, views_of, walls_of
 T_B_WORLD = np.array([5.0, -3.0, 2.0])
 
 
+def evidence_of(
+    a: Picture, b: Picture, overlap: Overlap, others: Sequence[Overlap] = ()
+) -> ViewEvidence:
+    return view_evidence(overlap, others, (repeats(a.views), repeats(b.views)), revisits(a.views))
+
+
 def test_the_place_itself_is_told_from_other_placements() -> None:
     walls = walls_of(1)
     a = pictured(views_of(walls, line((5, 20), (35, 20))))
     b = pictured(views_of(walls, line((8, 21), (33, 21)), T_B_WORLD))
-    (T, some), *others = refined(a, b, placements(a, b))
-    assert worth_judging(some)
+    (T, overlap), *others = refine(a, b, placements(a, b))
+    assert worth_judging(overlap)
     off = compose(T, T_B_WORLD)
     assert np.hypot(*off[:2]) < 0.4
     assert abs(wrap(off[2])) < 0.03
-    here = laid(a, b, [compose(T, b.pose)], 24)[0]
+    overlap = overlaps(a, b, [compose(T, b.pose)], 24)[0]
     elsewhere = [other for _, other in others]
-    told = judged(here, elsewhere, (repeats(a.views), repeats(b.views)), revisits(a.views))
-    assert told.agreeing >= 3
-    assert told.total > 10
-    assert told.copies > 2
-    assert told.repeated == told.against == 0
+    evidence = evidence_of(a, b, overlap, elsewhere)
+    assert evidence.agreeing >= 3
+    assert evidence.total > 10
+    assert evidence.copies > 2
+    assert evidence.repeated == evidence.against == 0
 
 
 def test_a_placement_that_is_off_is_corrected() -> None:
@@ -49,7 +58,7 @@ def test_a_placement_that_is_off_is_corrected() -> None:
     a = pictured(views_of(walls, line((5, 20), (35, 20))))
     b = pictured(views_of(walls, line((5, 20), (35, 20)), T_B_WORLD))
     off = compose(np.array([0.4, -0.3, 0.03]), inverse(T_B_WORLD))
-    better = laid(a, b, [compose(off, b.pose)], 24)[0].better(off)
+    better = overlaps(a, b, [compose(off, b.pose)], 24)[0].corrected(off)
     left = compose(better, T_B_WORLD)
     assert np.hypot(*left[:2]) < 0.25
     assert abs(wrap(left[2])) < 0.01
@@ -60,27 +69,26 @@ def test_where_the_maps_repeat_themselves_the_place_may_be_a_copy() -> None:
     aisles = np.concatenate([room, room + np.array([40.0, 0, 40.0, 0])])
     a = pictured(views_of(aisles, line((5, 20), (75, 20))))
     b = pictured(views_of(room, line((8, 21), (33, 21)), T_B_WORLD))
-    (T, _), *_ = refined(a, b, placements(a, b))
-    here = laid(a, b, [compose(T, b.pose)], 24)[0]
-    told = judged(here, [], (repeats(a.views), repeats(b.views)), revisits(a.views))
+    (T, _), *_ = refine(a, b, placements(a, b))
+    overlap = overlaps(a, b, [compose(T, b.pose)], 24)[0]
+    evidence = evidence_of(a, b, overlap)
     assert repeats(a.views).size > 5
-    assert told.total > 8
-    assert told.repeated > 0.5
+    assert evidence.total > 8
+    assert evidence.repeated > 0.5
 
 
 def test_parts_that_move_apart_speak_against_a_placement() -> None:
     walls = walls_of(1)
     a = pictured(views_of(walls, line((5, 20), (35, 20))))
     b = pictured(views_of(walls, line((8, 21), (33, 21)), T_B_WORLD))
-    here = laid(a, b, [compose(inverse(T_B_WORLD), b.pose)], 24)[0]
-    assert here.consistency.min() > 0.5
-    torn = replace(here, there=here.there + np.outer(1.4 * (here.cell % 2), [1.0, 0.0, 0.0]))
-    assert torn.consistent_parts < 0 < here.consistent_parts
-    elsewhere = [some for _, some in refined(a, b, placements(a, b))[1:]]
-    whole, less = (
-        judged(some, elsewhere, (repeats(a.views), repeats(b.views)), revisits(a.views))
-        for some in (here, torn)
+    overlap = overlaps(a, b, [compose(inverse(T_B_WORLD), b.pose)], 24)[0]
+    assert overlap.consistency.min() > 0.5
+    torn = replace(
+        overlap, registered=overlap.registered + np.outer(1.4 * (overlap.cell % 2), [1.0, 0.0, 0.0])
     )
+    assert torn.consistent_parts < 0 < overlap.consistent_parts
+    elsewhere = [some for _, some in refine(a, b, placements(a, b))[1:]]
+    whole, less = (evidence_of(a, b, some, elsewhere) for some in (overlap, torn))
     assert whole.total > less.total + 2 * (len(whole.bits) - 1)
     assert whole.copies == less.copies
 
@@ -89,12 +97,14 @@ def test_parts_that_agree_on_one_placement_tell_more_than_they_do_on_a_copy() ->
     walls = walls_of(1, (80.0, 30.0))
     a = pictured(views_of(walls, line((5, 15), (75, 15))))
     b = pictured(views_of(walls, line((8, 16), (73, 16)), T_B_WORLD))
-    here = laid(a, b, [compose(inverse(T_B_WORLD), b.pose)], 24)[0]
+    overlap = overlaps(a, b, [compose(inverse(T_B_WORLD), b.pose)], 24)[0]
     own = repeats(a.views)
-    assert here.consistent_parts > CHANCE_PARTS > own.consistent_parts
-    copied = replace(own, consistent_parts=here.consistent_parts)
-    alone, copies = (judged(here, [], (own, other), revisits(a.views)) for other in (own, copied))
-    beyond = here.consistent_parts - CHANCE_PARTS
+    assert overlap.consistent_parts > CHANCE_PARTS > own.consistent_parts
+    copied = replace(own, consistent_parts=overlap.consistent_parts)
+    alone, copies = (
+        view_evidence(overlap, [], (own, other), revisits(a.views)) for other in (own, copied)
+    )
+    beyond = overlap.consistent_parts - CHANCE_PARTS
     assert np.isclose(alone.total - copies.total, PART_BITS * beyond)
 
 
@@ -102,36 +112,36 @@ def test_walls_that_agree_bound_what_an_unseen_junction_tells() -> None:
     walls = walls_of(1)
     a = pictured(views_of(walls, line((5, 20), (35, 20))))
     b = pictured(views_of(walls, line((8, 21), (33, 21)), T_B_WORLD))
-    here = laid(a, b, [compose(inverse(T_B_WORLD), b.pose)], 24)[0]
-    elsewhere = [some for _, some in refined(a, b, placements(a, b))[1:]]
-    told = judged(here, elsewhere, (repeats(a.views), repeats(b.views)), revisits(a.views))
-    beside, far = np.full((2, len(told)), 50.0)
+    overlap = overlaps(a, b, [compose(inverse(T_B_WORLD), b.pose)], 24)[0]
+    elsewhere = [some for _, some in refine(a, b, placements(a, b))[1:]]
+    evidence = evidence_of(a, b, overlap, elsewhere)
+    beside, far = np.full((2, len(evidence)), 50.0)
     beside[0] = 1.0
-    assert np.allclose(told.most_against(np.array([beside, far])), [UNSEEN_BITS, np.inf])
-    alike = replace(told, null=np.array([3.0, 0.5]))
-    assert alike.most_against(beside[None])[0] == MATCH.most_bits
+    assert np.allclose(evidence.penalty_bound(np.array([beside, far])), [UNSEEN_BITS, np.inf])
+    alike = replace(evidence, null=np.array([3.0, 0.5]))
+    assert alike.penalty_bound(beside[None])[0] == MATCH.most_bits
 
 
 def test_bare_walls_that_agree_tell_nothing() -> None:
     wall = np.array([[0.0, 18.0, 60.0, 18.0], [0.0, 22.0, 60.0, 22.0]])
     a = pictured(views_of(wall, line((10, 20), (50, 20))))
     b = pictured(views_of(wall, line((20, 20), (40, 20)), T_B_WORLD))
-    here = laid(a, b, [compose(inverse(T_B_WORLD), b.pose)], 24)[0]
-    assert here.parts.min() > 4
-    assert here.telling_parts.max() == DETAILED_Z[0]
+    overlap = overlaps(a, b, [compose(inverse(T_B_WORLD), b.pose)], 24)[0]
+    assert overlap.part_z.min() > 4
+    assert overlap.informative_part_z.max() == DETAILED_Z[0]
 
 
 def test_walls_tell_whether_one_placement_fits_all_parts() -> None:
     walls = walls_of(1)
     a, b = (views_of(walls, line((5, 20), (35, 20)), T) for T in (np.zeros(3), T_B_WORLD))
     one, two = pictured(a), pictured(b)
-    here = laid(one, two, [compose(inverse(T_B_WORLD), b.pose)], 24)[0]
-    told = judged(here, [], (repeats(one.views), repeats(two.views)), revisits(one.views))
-    assert told.off_m(a, b) < 0.1
+    overlap = overlaps(one, two, [compose(inverse(T_B_WORLD), b.pose)], 24)[0]
+    evidence = evidence_of(one, two, overlap)
+    assert evidence.residual_m(a, b) < 0.1
     smaller = replace(b, pose=b.pose * [0.95, 0.95, 1.0])  # 1.5 m of 30 m
-    assert told.off_m(a, smaller) > 0.3
-    few = replace(told, z=np.where(told.cell > 1, 0.0, told.z))
-    assert few.off_m(a, b) == np.inf
+    assert evidence.residual_m(a, smaller) > 0.3
+    few = replace(evidence, z=np.where(evidence.cell > 1, 0.0, evidence.z))
+    assert few.residual_m(a, b) == np.inf
 
 
 def test_walls_that_agree_bound_what_lengths_and_branches_tell_against_a_match() -> None:
@@ -140,7 +150,7 @@ def test_walls_that_agree_bound_what_lengths_and_branches_tell_against_a_match()
     along = np.array([0, 1, 2])
     corridors = np.array([[0, 0], [2, 2], [4, 4]])
     found = Support(corridors, ends, along, links, branches, -9.0)
-    bounded = found.at_most_against(np.array([UNSEEN_BITS, UNSEEN_BITS, np.inf]))
+    bounded = found.bounded(np.array([UNSEEN_BITS, UNSEEN_BITS, np.inf]))
     assert np.allclose(bounded.links, [3.0, -UNSEEN_BITS, -4.0])
     assert np.allclose(bounded.branches, [2.0, -UNSEEN_BITS, -3.0])
     assert np.isclose(bounded.bits, -9.0 + (4.0 - UNSEEN_BITS) + (3.0 - UNSEEN_BITS))

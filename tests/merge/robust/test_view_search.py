@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from topobatch.merge.robust.view_evidence import repeats
-from topobatch.merge.robust.view_search import ANGLES, _turns, pictured, placements
+from topobatch.merge.robust.view_search import ANGLES, _rotations, pictured, placements
 from topobatch.topology.se2 import apply, compose, wrap
 
 from .rooms import line, views_of, walls_of
@@ -28,10 +28,10 @@ def test_a_stretch_that_furniture_misleads_is_turned_as_the_others_are() -> None
     a = pictured(views_of(walls, line((5, 20), (35, 20))))
     b = pictured(views_of(walls, line((5, 20), (35, 20)), T_B_WORLD))
     first, *_ = b.stretches
-    (turn,) = _turns(a, b, first)
+    (turn,) = _rotations(a, b, first)
     aside = ANGLES // 3  # 30 degrees
     misled = replace(first, directions=np.roll(first.directions, aside))
-    wrong, right = _turns(a, b, misled)
+    wrong, right = _rotations(a, b, misled)
     quarter = np.pi / 2
     assert (
         abs((wrong - turn + aside * quarter / ANGLES + quarter / 2) % quarter - quarter / 2) < 0.04

@@ -11,7 +11,7 @@ from topobatch.merge.robust import DEFAULT_ROBUST
 from topobatch.merge.robust.pairing import Pairwise
 from topobatch.merge.robust.prepare import prepare
 from topobatch.merge.robust.rematching import MergedMaps
-from topobatch.merge.robust.view_evidence import judged, laid, repeats
+from topobatch.merge.robust.view_evidence import overlaps, repeats, view_evidence
 from topobatch.merge.robust.view_search import pictured
 from topobatch.merge.robust.view_ties import view_ties
 from topobatch.topology.se2 import apply, compose, inverse, wrap
@@ -31,8 +31,8 @@ def seen_by_both():
     a = replace(a, views=views_of(walls, places))
     b = replace(b, views=views_of(walls, places, T_B_WORLD))
     one, two = pictured(a.views), pictured(b.views)
-    here = laid(one, two, [compose(inverse(T_B_WORLD), b.views.pose)], 24)[0]
-    return a, b, judged(here, [], (repeats(a.views), repeats(b.views)), np.zeros(0))
+    overlap = overlaps(one, two, [compose(inverse(T_B_WORLD), b.views.pose)], 24)[0]
+    return a, b, view_evidence(overlap, [], (repeats(a.views), repeats(b.views)), np.zeros(0))
 
 
 def test_ties_say_where_junctions_lie() -> None:

@@ -95,9 +95,9 @@ def test_a_candidate_is_certain_only_against_all_that_it_excludes(third, fits, a
     around = Surroundings(alike, zero, zero, zero)
     found = Candidates(a, b, zero, around, zero, no_ground(len(pairs)), within)
     places = SimpleNamespace(first=np.arange(3), next_place=np.full((3, 1), NOWHERE))
-    certain = _certain(places, found, least=9.0)
+    certain = _certain(places, found, least_odds=9.0)
     assert [(q.first, q.second) for q in certain] == accepted
     # A rival as unlikely as not takes little away.
     around = replace(around, branches=alike - [0.0, 10.5, 0.0][: len(pairs)])
     found = replace(found, around=around)
-    assert [(q.first, q.second) for q in _certain(places, found, least=9.0)] == [(0, 1)]
+    assert [(q.first, q.second) for q in _certain(places, found, least_odds=9.0)] == [(0, 1)]

@@ -14,7 +14,7 @@ from topobatch.topology.matching.views import (
     ViewIndex,
     ViewNull,
     _cells,
-    compared,
+    compare,
     register,
 )
 from topobatch.topology.se2 import apply, between, wrap
@@ -92,7 +92,7 @@ def test_walls_of_two_views_are_told_apart():
     shut[280:284, 290:330] = True  # a wall that only the second view saw
     one, other = np.array([30.0, 30.0, 0.3]), np.array([30.5, 29.6, -0.4])
     a, b = ViewIndex.of(views_at(wall, [one])), ViewIndex.of(views_at(shut, [other]))
-    seen = compared(a, b, (0, 0), between(one, other))
+    seen = compare(a, b, (0, 0), between(one, other))
     there = apply(one, seen.xy)
     known = views_at(wall, [one]).cells[0] == 2
     assert (~seen.of_second).sum() == known.sum()
