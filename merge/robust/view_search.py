@@ -11,6 +11,7 @@ from collections import OrderedDict, defaultdict
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,21 +57,16 @@ per metre between the stretches (3° of drift), and in rotation."""
 CACHED_MAPS = 256
 """Maps whose repeats, revisits and mirror images a process caches: as many as it has prepared."""
 CACHED_VIEWS = 3000
-"""Views of cached pictures, 130 kB each: a tile of tasks has 16 maps a side of about 100 views, and
+"""Views of cached pictures, 150 kB each: a tile of tasks has 16 maps a side of about 100 views, and
 the next tile shares one of the sides."""
 
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """The views of a map, as points in its frame.
-
-    walls, free: wall cells and free cells of each view, x + iy [m].
-    """
+    """The views of a map, prepared to be laid over those of another."""
 
     views: Views
     index: ViewIndex
-    walls: tuple[ComplexArray, ...]
-    free: tuple[ComplexArray, ...]
 
     @property
     def pose(self) -> FloatArray:
@@ -87,6 +83,17 @@ class Picture:
         """(n,) way from the first view to each [m]."""
         return np.concatenate([[0.0], np.cumsum(np.abs(np.diff(self.place)))])
 
+    def walls(self, rows: IntArray | slice = slice(None)) -> ComplexArray:
+        """Wall cells of some views, x + iy [m]."""
+        place, unit = self.place[rows, None], np.exp(1j * self.pose[rows, 2, None])
+        return np.asarray((place + unit * self.index.points[rows])[self.index.is_point[rows]])
+
+    def free(self, rows: IntArray) -> ComplexArray:
+        """Every second free cell of some views, a pixel apart, x + iy [m]."""
+        view, y, x = np.nonzero(self.views.cells[rows, ::2, ::2] == FREE)
+        offset = (2 * x + 0.5) * CELL_M - REACH_M + 1j * ((2 * y + 0.5) * CELL_M - REACH_M)
+        return np.asarray(self.place[rows][view] + np.exp(1j * self.pose[rows, 2])[view] * offset)
+
     @cached_property
     def nearest(self) -> cKDTree:
         """Nearest-neighbour index of the positions."""
@@ -95,7 +102,7 @@ class Picture:
     @cached_property
     def directions(self) -> FloatArray:
         """(ANGLES,) `directions` of all walls."""
-        return directions(np.concatenate(self.walls))
+        return directions(self.walls())
 
     @cached_property
     def local_directions(self) -> FloatArray:
@@ -111,7 +118,7 @@ class Picture:
     @cached_property
     def squares(self) -> list[Square]:
         """The squares that the map is drawn on: one, or as many as have walls."""
-        walls = np.exp(1j * self.rotation) * np.concatenate(self.walls)
+        walls = np.exp(1j * self.rotation) * self.walls()
         low = complex(walls.real.min(), walls.imag.min())
         high = complex(walls.real.max(), walls.imag.max())
         extent = max((high - low).real, (high - low).imag)
@@ -140,10 +147,8 @@ class Picture:
     def _tile(self, square: Square) -> Tile:
         reach = square.size * PIXEL_M + REACH_M  # more than half of the diagonal
         rows = np.flatnonzero(np.abs(self.place - square.middle) < reach)
-        walls, free = (
-            np.concatenate([z[k] for k in rows] or [z[0][:0]]) for z in (self.walls, self.free)
-        )
-        image, fit = _images(walls, free, self.rotation, square.middle, square.size)
+        points = self.walls(rows), self.free(rows)
+        image, fit = _images(*points, self.rotation, square.middle, square.size)
         spectra = tuple(
             (fft.rfft2(np.rot90(image, quarter)), fft.rfft2(np.rot90(fit, quarter)))
             for quarter in range(4)
@@ -163,26 +168,27 @@ class Picture:
                 continue
             # A jump from one view to the next tears a stretch apart.
             rows = rows[np.abs(self.place[rows] - np.median(self.place[rows])) < STRETCH_M / 2]
-            walls = np.concatenate([self.walls[k] for k in rows] or [np.zeros(0, np.complex128)])
+            walls = self.walls(rows)
             if len(walls) >= LEAST_WALLS:
-                free = np.concatenate([self.free[k] for k in rows])
                 middle = complex(self.place[rows].mean())
-                yield Stretch(walls, free, middle, directions(walls))
+                near, free = ((z - middle).astype(np.complex64) for z in (walls, self.free(rows)))
+                yield Stretch(near, free, middle, directions(walls))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stretch:
-    """Walls and free space of a stretch of way, its middle, x + iy [m], and `directions`."""
+    """Walls and free space of a stretch of way, from its middle, the middle, x + iy [m], and
+    `directions`."""
 
-    walls: ComplexArray
-    free: ComplexArray
+    walls: NDArray[np.complex64]
+    free: NDArray[np.complex64]
     middle: complex
     directions: FloatArray
 
     @property
     def reach_m(self) -> float:
         """Distance of the farthest cell from the middle [m]."""
-        return max(float(np.abs(z - self.middle).max(initial=0)) for z in (self.walls, self.free))
+        return max(float(np.abs(z).max(initial=0)) for z in (self.walls, self.free))
 
 
 def evenly_spread(count: int, most: int) -> IntArray:
@@ -196,24 +202,12 @@ _pictures: OrderedDict[Views, Picture] = OrderedDict()
 
 def pictured(views: Views) -> Picture:
     """The picture of a map's views. The last used ones are cached: `CACHED_VIEWS`, but two maps."""
-    picture = _pictures.pop(views) if views in _pictures else _pictured(views)
+    known = views in _pictures
+    picture = _pictures.pop(views) if known else Picture(views, ViewIndex.of(views))
     _pictures[views] = picture
     while len(_pictures) > 2 and sum(map(len, _pictures)) > CACHED_VIEWS:
         _pictures.popitem(last=False)
     return picture
-
-
-def _pictured(views: Views) -> Picture:
-    index = ViewIndex.of(views)
-    place = views.pose[:, 0] + 1j * views.pose[:, 1]
-    unit = np.exp(1j * views.pose[:, 2])
-    walls, free = [], []
-    for k, cells in enumerate(views.cells):
-        walls.append(place[k] + unit[k] * index.points[k, index.is_point[k]])
-        y, x = np.nonzero(cells[::2, ::2] == FREE)  # every second one, a pixel apart
-        offset = (2 * x + 0.5) * CELL_M - REACH_M + 1j * ((2 * y + 0.5) * CELL_M - REACH_M)
-        free.append(place[k] + unit[k] * offset)
-    return Picture(views, index, tuple(walls), tuple(free))
 
 
 def directions(walls: ComplexArray) -> FloatArray:
@@ -260,7 +254,7 @@ class Tile:
 
 
 def _images(
-    walls: ComplexArray, free: ComplexArray, rotation: float, middle: complex, size: int
+    walls: NDArray[Any], free: NDArray[Any], rotation: float, middle: complex, size: int
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """(size, size) images of walls and free space, x + iy [m], rotated [rad] about a middle: the
     walls, and how well a wall of another map fits."""
@@ -270,7 +264,7 @@ def _images(
     return wall, np.maximum(wall, near) - np.float32(CONTRADICTS) * against
 
 
-def _marked(z: ComplexArray, rotation: float, middle: complex, size: int) -> NDArray[np.float32]:
+def _marked(z: NDArray[Any], rotation: float, middle: complex, size: int) -> NDArray[np.float32]:
     """(size, size) 1 at the pixels of points z, rotated about a middle, else 0."""
     image = np.zeros((size, size), np.float32)
     pixel = (z - middle) * np.exp(1j * rotation) / PIXEL_M + (0.5 + 0.5j) * size
@@ -283,7 +277,7 @@ def _marked(z: ComplexArray, rotation: float, middle: complex, size: int) -> NDA
 def placements(a: Picture, b: Picture) -> FloatArray:
     """(p, 3) T_a_b of the most likely placements of b in a, best first, and different from each
     other."""
-    stretches = b.stretches if any(map(len, a.walls)) and len(b.pose) else ()
+    stretches = b.stretches if a.index.is_point.any() and len(b.pose) else ()
     cases = [(stretch, along) for stretch in stretches for along in _rotations(a, b, stretch)]
     if not cases:
         return np.zeros((0, 3))
@@ -316,7 +310,7 @@ def _correlated(
     # middle of one as large as the tile.
     side = min(2 * int(stretch.reach_m / PIXEL_M) + 10 + square.size % 2, square.size)
     rim = (square.size - side) // 2
-    images = _images(stretch.walls, stretch.free, rotation, stretch.middle, side)
+    images = _images(stretch.walls, stretch.free, rotation, 0j, side)
     count = int(images[0].sum())
     walls, fit = (np.conj(fft.rfft2(image, shape)) for image in images)
     pixel = _signed(np.arange(square.size) - rim, square.size)
