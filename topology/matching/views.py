@@ -102,13 +102,14 @@ class ViewIndex:
         kind = np.zeros((n, side, side), np.uint8)
         coarse = SIDE // 2
         fit_coarse = np.zeros((n, coarse, coarse), np.float32)
-        normals = _normals(views.cells == WALL)
         for k, cells in enumerate(views.cells):
+            if k % _NORMALS_AT_ONCE == 0:
+                normals = _normals(views.cells[k : k + _NORMALS_AT_ONCE] == WALL)
             row, column = np.nonzero(cells == WALL)
             points[k, : len(row)] = _metres(column, CELL_M) + 1j * _metres(row, CELL_M)
             if not len(row):
                 continue
-            normal[k, : len(row)] = normals[k, row, column]
+            normal[k, : len(row)] = normals[k % _NORMALS_AT_ONCE, row, column]
             fine_cells = cells.repeat(2, axis=0).repeat(2, axis=1)
             is_free, is_wall = fine_cells == FREE, fine_cells == WALL
             distance_m, (y, x) = ndimage.distance_transform_edt(~is_wall, return_indices=True)
@@ -157,6 +158,10 @@ def _cell_centres() -> NDArray[np.complex64]:
 
 
 _CELL_CENTRES = _cell_centres()
+
+
+_NORMALS_AT_ONCE = 32
+"""Views whose normals are worked out together: .5 MB each."""
 
 
 def _normals(wall: NDArray[np.bool_]) -> ComplexArray:
