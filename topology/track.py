@@ -117,7 +117,7 @@ def track_directions(odometry: Odometry, time_ns: IntArray, centre: FloatArray) 
     frame. The track is searched `SEARCH_M` either way. O(p · SEARCH_M / step + n).
     """
     way = way_along(odometry)
-    here = way_at(odometry, time_ns)
+    arc_m = way_at(odometry, time_ns)
     stretch = stretch_of(odometry, time_ns)
     edges = np.concatenate([[0], odometry.cuts, [len(odometry)]])
     first, last = way[edges[stretch]], way[edges[stretch + 1] - 1]
@@ -125,12 +125,12 @@ def track_directions(odometry: Odometry, time_ns: IntArray, centre: FloatArray) 
     steps = np.arange(0.0, SEARCH_M + SEARCH_STEP_M, SEARCH_STEP_M)
 
     def towards(sign: float) -> FloatArray:
-        at = here[:, None] + sign * steps
+        at = arc_m[:, None] + sign * steps
         dx, dy = np.moveaxis(point_at(odometry, at) - centre[:, None], -1, 0)
         inside = (at >= first[:, None] - 1e-9) & (at <= last[:, None] + 1e-9)
         out = inside & (dx * dx + dy * dy >= BEYOND_M**2)
         hit = out.argmax(axis=1)
-        rows = np.arange(len(here))
+        rows = np.arange(len(arc_m))
         heading = np.arctan2(dy[rows, hit], dx[rows, hit])
         return np.where(out.any(axis=1), heading, np.nan)
 

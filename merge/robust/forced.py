@@ -35,10 +35,12 @@ def forced_alignment(
         by_branches = _branch_seeds(a, b, *lock.at)
         by_corridors = _corridor_seeds(a, b, *lock.at)
         tested = len(by_branches) + len(by_corridors)
-        every = Hypotheses(a, b, [*by_corridors, *by_branches], tested)
-        grown = next(evaluate_all([every], settings))
+        hypotheses = Hypotheses(a, b, [*by_corridors, *by_branches], tested)
+        grown = next(evaluate_all([hypotheses], settings))
         # Growth gives up where too little agrees, but the lock rules out other placements.
-        ungrown = ungrown_candidates(every._replace(seeds=by_corridors)) if by_corridors else []
+        ungrown = (
+            ungrown_candidates(hypotheses._replace(seeds=by_corridors)) if by_corridors else []
+        )
         likely = [c for c in (*grown, *ungrown) if c.bits > 0]
         fitting = sorted(_matching(lock.at, likely), key=lambda c: -c.bits)
     return next(iter(fitting), None)

@@ -89,9 +89,9 @@ class Neighbours:
             distance_m[:, :most], index[:, :most] = points.tree.query(
                 points.across.T, k=np.arange(1, most + 1)
             )
-        there = np.isfinite(distance_m)
+        exists = np.isfinite(distance_m)
         bits = np.zeros(distance_m.shape)
-        bits[there] = rarity(distance_m[there]) / BIT
+        bits[exists] = rarity(distance_m[exists]) / BIT
         return cls(index, distance_m, bits, np.exp(-0.5 * (distance_m / MATCH.reach_m) ** 2))
 
 

@@ -425,9 +425,9 @@ def _chance_bits(mean: float, parts: int, null: Level, true: Level) -> float:
     `MATCH.fewest` parts and more, as those that the level is estimated from. With one or two parts
     false placements in halls would reach 8.7 and 13 bits (1,600 pairs of buildings), 6.6 without.
     """
-    more = min(parts, MOST_PARTS) - 1
-    rate = RATE + RATE_MORE * more
-    tail = max(TAIL_Z - TAIL_LESS * more, LEAST_TAIL_Z)
+    further_parts = min(parts, MOST_PARTS) - 1
+    rate = RATE + RATE_MORE * further_parts
+    tail = max(TAIL_Z - TAIL_LESS * further_parts, LEAST_TAIL_Z)
     level = null.mean - null.sigma
     tail += max(level - FALSE.mean, 0.0)
     if parts >= MATCH.fewest:
@@ -499,8 +499,8 @@ def repeats(views: Views) -> Repeats:
     moved, consistent_parts = [], 0.0
     refined = refine(a, a, placements(a, a), JUDGE_PAIRS)
     # Consistency is that of the refined placement, as for two maps.
-    again = overlaps(a, a, [compose(T, a.pose) for T, _ in refined], JUDGE_PAIRS)
-    for (T, overlap), refined_overlap in zip(refined, again, strict=True):
+    judged = overlaps(a, a, [compose(T, a.pose) for T, _ in refined], JUDGE_PAIRS)
+    for (T, overlap), refined_overlap in zip(refined, judged, strict=True):
         away = np.abs(a.place[overlap.first] - a.place[overlap.second])
         turned = abs(T[2]) >= MATCH.turn_rad
         if turned or np.hypot(T[0], T[1]) >= MATCH.place_m:

@@ -115,24 +115,36 @@ def grow(
         gain += weight * np.bincount(hypothesis, np.maximum(odds, 0.0), minlength=k)
         loss += weight * np.bincount(hypothesis, np.maximum(-odds, 0.0), minlength=k)
         good = (fit > 0.5 * miss) & (reached.missed[open_ends] < 2)
-        onward = open_ends[good]
-        keys = _keys(hypothesis[onward], reached.qa[onward], reached.qb[onward], len(places))
-        new_keys, first_row = np.unique(keys, return_index=True)
-        first_row = first_row[~np.isin(new_keys, visited)]
-        visited = np.concatenate([visited, keys[first_row]])
-        chosen = onward[first_row]
-        front = _Front(
-            hypothesis[chosen],
-            reached.qa[chosen],
-            reached.qb[chosen],
-            front.turn[reached.row[chosen]],
-            alignment.partner[np.flatnonzero(good)[first_row]],
+        front, visited = _next_front(
+            front, reached, open_ends[good], alignment.partner[good], visited=visited, n=len(places)
         )
         weight *= GROWTH.discount
     return gain, loss
 
 
+def _next_front(
+    front: _Front,
+    reached: _Reached,
+    rows: IntArray,
+    partner: IntArray,
+    *,
+    visited: IntArray,
+    n: int,
+) -> tuple[_Front, IntArray]:
+    """The pairs of places that legs `rows` of `reached` lead to, each once and not visited before;
+    and the keys of all visited pairs. partner: (r, s) slots there, as in `_Front`."""
+    hypothesis = front.hypothesis[reached.row[rows]]
+    keys = _keys(hypothesis, reached.qa[rows], reached.qb[rows], n)
+    new_keys, first = np.unique(keys, return_index=True)
+    first = first[~np.isin(new_keys, visited)]
+    chosen = rows[first]
+    turn = front.turn[reached.row[chosen]]
+    pairs = _Front(hypothesis[first], reached.qa[chosen], reached.qb[chosen], turn, partner[first])
+    return pairs, np.concatenate([visited, keys[first]])
+
+
 def _keys(hypothesis: IntArray, a: IntArray, b: IntArray, n: int) -> IntArray:
+    """(k,) numbers of hypotheses with unordered pairs of places, of n."""
     low, high = np.minimum(a, b), np.maximum(a, b)
     return (hypothesis * n + low) * n + high
 

@@ -73,9 +73,9 @@ def correct_detections(
     kept, number = _renumbered(merged.place == np.arange(len(estimate.xy)))
     place, xy = number[merged.place[place]], merged.xy[kept]
     # One drive-by is one visit.
-    again = np.zeros(len(place), bool)
-    again[1:] = ~fair[1:] & (place[1:] == place[:-1]) & one_drive_by(reckoning, resolution_m)
-    place, turn = np.where(again, NOWHERE, place), estimate.pose[:, 2]
+    is_repeat = np.zeros(len(place), bool)
+    is_repeat[1:] = ~fair[1:] & (place[1:] == place[:-1]) & one_drive_by(reckoning, resolution_m)
+    place, turn = np.where(is_repeat, NOWHERE, place), estimate.pose[:, 2]
 
     def driven(place: IntArray, xy: FloatArray) -> tuple[Places, Visits, Visits]:
         """The places, and the detected and the undetected visits to them."""
