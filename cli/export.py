@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
 from ..ingest.reading import read_run
+from ..merge.changes import last_found
 from ..merge.component_map import component_map, component_pose_graph, stale_runs
 from ..merge.result import Component, MergeResult
 from ..topology.errors import DataError, DocumentError, UsageError
@@ -15,7 +17,7 @@ from ..topology.files import read_json, write_json
 from ..topology.map_pose_graph import map_pose_graph
 from ..topology.odometry import Odometry
 from ..topology.topomap import TopoMap
-from ..topology.wording import listed
+from ..topology.wording import counted, listed
 from ..viz.exports import corrected_tum, map_texts, pose_graph_g2o, recorded_tum
 from .export_grid import PICTURE, Exported, grid_of_saved, grid_texts, log_of
 from .options import (
@@ -198,7 +200,7 @@ def _texts(
                 files = {".g2o": _pose_graph(source)}
             else:
                 walls = grid_of_saved(place, source)
-                files = map_texts(source.topomap, form, tolerance, walls)
+                files = map_texts(_told_what_is_gone(place, source), form, tolerance, walls)
         except DataError as error:
             if len(sources) == 1:
                 raise
@@ -206,6 +208,21 @@ def _texts(
             continue
         texts |= {f"{source.name}{ending}": text for ending, text in files.items()}
     return texts
+
+
+def _told_what_is_gone(place: Workspace, source: Exported) -> TopoMap:
+    """The map of a site with the corridors that its latest runs did not find, of which a warning
+    tells; of other maps, and of stale ones, the map as it is."""
+    site = source.component
+    if source.result is None or site is None or site.poses.keys() != source.maps.keys():
+        return source.topomap
+    gone = last_found(source.result, site.id, source.maps)
+    if not gone:
+        return source.topomap
+    marked = "are gone: marked" if len(gone) > 1 else "is gone: marked"
+    draw = place.call("changes", site.name, *place.of_merge, "-o", "changes.svg")
+    warn(f"{site.name}: {counted(len(gone), 'corridor')} {marked} so in the file; see {draw}")
+    return replace(source.topomap, info={**source.topomap.info, "gone": gone})
 
 
 def _pose_graph(source: Exported) -> str:

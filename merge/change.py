@@ -38,7 +38,8 @@ class Change:
     thing: "corridor" or "junction"; junctions: its ends, or itself, as ids of the merged document;
     xy: (2,) its middle [m]; length [m], None for a junction; there, missing: runs that passed it,
     and runs that should have found it and did not, by time; bits: -log2 of the probability that the
-    latter missed it (or that it was invented); needed: the threshold for the number of tests.
+    latter missed it (or that it was invented); needed: the threshold for the number of tests; edge:
+    of a corridor, its row in the map of its site (`component_map`).
     """
 
     thing: str
@@ -51,6 +52,7 @@ class Change:
     missing: tuple[Witness, ...]
     bits: float
     needed: float
+    edge: int | None = None
 
     @property
     def sure(self) -> bool:

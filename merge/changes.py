@@ -92,6 +92,18 @@ def changes(result: MergeResult, component: int, maps: Mapping[str, TopoMap]) ->
     return tuple(sorted(found, key=lambda c: (-c.bits, c.thing, c.junctions)))
 
 
+def last_found(
+    result: MergeResult, component: int, maps: Mapping[str, TopoMap]
+) -> dict[int, Witness]:
+    """The corridors of a component that are gone, by their edges in its map (`component_map`), each
+    with the run that found it last. maps: as in `changes`."""
+    return {
+        c.edge: c.between[0]
+        for c in changes(result, component, maps)
+        if c.sure and c.kind is ChangeKind.GONE and c.edge is not None and c.between is not None
+    }
+
+
 class _Seen:
     """A component's fused map with the observations of its vertices by every run."""
 
@@ -261,7 +273,9 @@ def _corridors(seen: _Seen) -> tuple[list[Change], int, set[tuple[int, str]]]:
             there = [_drove(seen, run, ids) for run, ids in sorted(members.items())]
             length = float(rounded(float(m.length[e]), METRES))
             out.append(
-                _change("corridor", ends, _middle(m.paths[e]), there, missing, length=length)
+                _change(
+                    "corridor", ends, _middle(m.paths[e]), there, missing, length=length, edge=e
+                )
             )
     return out, asked, explained
 
@@ -365,6 +379,7 @@ def _change(
     *,
     invented: float = 0.0,
     length: float | None = None,
+    edge: int | None = None,
 ) -> Change:
     """The change, by vertices of the component: GONE if all who did not find the thing passed after
     the last who did, NEW if before the first, else DIFFERS; with the evidence of all of them.
@@ -389,4 +404,5 @@ def _change(
         missing=tuple(sorted(runs, key=lambda w: (w.first_ns, w.run))),
         bits=max(0.0, -float(np.log2(min(chance, 1.0)))),
         needed=0.0,
+        edge=edge,
     )

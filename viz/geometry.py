@@ -136,13 +136,10 @@ def strands(fused: FusedMap, edges: IntArray, pen: float) -> list[Strand]:
 
 
 def changed_path(fused: FusedMap, edges: IntArray, change: Change) -> FloatArray:
-    """(k, 2) the corridor of the given ones that a change is about, or its junction alone."""
-    ends = sorted(change.junctions)
-    same = [e for e in edges.tolist() if sorted((fused.source[e], fused.target[e])) == ends]
-    if change.length is None or not same:
+    """(k, 2) the corridor, of its site's `edges`, that a change is about, or its junction alone."""
+    if change.edge is None:
         return np.array([change.xy, change.xy])
-    off = [abs(float(fused.length[e]) - change.length) for e in same]
-    path: FloatArray = fused.paths[same[int(np.argmin(off))]]
+    path: FloatArray = fused.paths[edges[change.edge]]
     return path
 
 

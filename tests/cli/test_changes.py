@@ -58,6 +58,26 @@ def test_changes_are_drawn_with_the_numbers_of_their_list(topobatch, place, tmp_
     assert "ends in .svg or .png" in topobatch("changes", "-o", "a.txt", "-w", place.root).error(2)
 
 
+@pytest.mark.parametrize("form", ["nav2", "lif", "rmf", "tmap2", "graphml", "csv"])
+def test_exports_mark_the_corridors_that_are_gone(topobatch, place, tmp_path, form) -> None:
+    told = json.loads(topobatch("changes", "-w", place.root, "--json").out)
+    gone = [c for c in told if c["kind"] == "gone"]
+    out = tmp_path / "site"
+    shown = topobatch("export", "-f", form, "-o", out, "-w", place.root)
+    assert shown.code == 0
+    assert f"{len(gone)} corridors are gone" in shown.err
+    assert "topobatch changes " in shown.err
+    text = "".join(path.read_text() for path in tmp_path.glob("site*"))
+    if form == "nav2":
+        edges = [f["properties"].get("metadata", {}) for f in json.loads(text)["features"]]
+        marked = [m for m in edges if m.get("gone")]
+        assert len({m["corridor"] for m in marked}) == len(gone)
+        assert {m["last_run"] for m in marked} == {c["there"][-1]["run"] for c in gone}
+        assert all(m["last_found"].startswith("2024-") for m in marked)
+    else:
+        assert ("last_found" if form == "csv" else "gone") in text
+
+
 def test_calls_that_cannot_be(topobatch, place, tmp_path) -> None:
     assert "topobatch ingest" in topobatch("changes", "-w", tmp_path).error(1)
     assert "no component 9" in topobatch("changes", "--component", 9, "-w", place.root).error(2)

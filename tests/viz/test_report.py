@@ -91,6 +91,7 @@ def change(**fields) -> Change:
         "missing": (missing,),
         "bits": 30.0,
         "needed": 9.0,
+        "edge": 0,
     }
     return Change(**given | fields)
 

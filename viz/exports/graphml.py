@@ -13,7 +13,7 @@ import numpy as np
 from ...topology.digits import significant
 from ...topology.document import map_to_document
 from ...topology.topomap import TopoMap
-from .route_graph import driving_seconds, seconds_sigma
+from .route_graph import driving_seconds, gone_properties, seconds_sigma
 
 
 def graphml(topomap: TopoMap) -> str:
@@ -31,6 +31,7 @@ def graphml(topomap: TopoMap) -> str:
         graph.nodes[node["id"]]["passes"] = len(node["observations"])
     for k, edge in enumerate(document["edges"]):
         more = {"members": members["edges"][k]} if members else {}
+        more |= gone_properties(topomap, k)
         if np.isfinite(seconds[k]):
             more["seconds"] = significant(float(seconds[k]))
         if np.isfinite(spread[k]):

@@ -15,7 +15,7 @@ from ...topology.digits import METRES, rounded, significant
 from ...topology.polyline import way_of
 from ...topology.topomap import TopoMap
 from ...topology.wording import utc
-from .route_graph import corridor_line, driving_speed, last_pass_ns
+from .route_graph import corridor_line, driving_speed, gone_properties, last_pass_ns
 
 LIF_VERSION = "1.0.0"
 VEHICLE_TYPE = "any"
@@ -37,6 +37,7 @@ def lif_json(topomap: TopoMap, max_error_m: float) -> str:
                     "edgeId": name,
                     "startNodeId": str(start),
                     "endNodeId": str(end),
+                    **({"edgeDescription": "gone"} if gone_properties(topomap, e) else {}),
                     "vehicleTypeEdgeProperties": [_properties(path, speed[e])],
                 }
             )

@@ -16,7 +16,7 @@ from typing import Any
 from ...topology.digits import METRES, rounded, significant
 from ...topology.errors import DataError
 from ...topology.topomap import TopoMap
-from .route_graph import VIA, RouteGraph, route_graph
+from .route_graph import VIA, RouteGraph, gone_properties, route_graph
 
 SECONDS = 2
 """Decimals of times: passes are stamped to about 0.1 s."""
@@ -73,6 +73,7 @@ def _edges(topomap: TopoMap, graph: RouteGraph) -> list[dict[str, Any]]:
             "length_sigma": sigmas[k],
             "corridor": edge,
             "traversals": drives[edge],
+            **gone_properties(topomap, edge),
         }
         if seconds[k] == seconds[k]:
             metadata["abs_time_taken"] = max(float(rounded(seconds[k], SECONDS)), 10.0**-SECONDS)

@@ -10,7 +10,7 @@ from typing import Any
 
 from ...topology.digits import METRES, rounded, significant
 from ...topology.topomap import TopoMap
-from .route_graph import VIA, route_graph
+from .route_graph import VIA, gone_properties, route_graph
 from .yaml_lines import yaml_text
 
 LEVEL = "L1"
@@ -29,7 +29,7 @@ def rmf_yaml(topomap: TopoMap, max_error_m: float) -> str:
         vertices.append([x, y, options])
     lanes: list[Any] = []
     for k in range(len(graph.source)):
-        options = {}
+        options = gone_properties(topomap, int(graph.edge[k]))
         if graph.seconds[k] > 0 and graph.length[k] > 0:
             options["speed_limit"] = significant(float(graph.length[k] / graph.seconds[k]))
         ends = int(graph.source[k]), int(graph.target[k])

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from ...topology.arrays import FloatArray, IntArray
 from ...topology.polyline import simplify, way_of
 from ...topology.topomap import TopoMap
+from ...topology.wording import utc
 
 MAX_ERROR_M = 0.05
 """Largest distance of a corridor's path from its straight pieces: about as far as robots wander."""
@@ -87,6 +89,17 @@ def corridor_line(topomap: TopoMap, edge: int, max_error_m: float) -> FloatArray
     """(k, 2) a corridor's path from source to target, simplified to within max_error_m."""
     ends = topomap.xy[[topomap.source[edge], topomap.target[edge]]]
     return simplify(np.concatenate([ends[:1], topomap.paths[edge][1:-1], ends[1:]]), max_error_m)
+
+
+def gone_properties(topomap: TopoMap, edge: int) -> dict[str, Any]:
+    """What exports say of a corridor that the latest runs did not find, and which run found it last
+    and when: `info["gone"]` of the map, a witness by the edge; {} of others."""
+    known = topomap.info.get("gone")  # of a document it could be anything but a dict with numbers
+    last = known.get(edge) if isinstance(known, dict) else None
+    if last is None:
+        return {}
+    when = utc(last.last_ns, "%Y-%m-%dT%H:%M:%SZ")
+    return {"gone": True, "last_run": last.run, "last_found": when}
 
 
 def driving_seconds(topomap: TopoMap) -> FloatArray:

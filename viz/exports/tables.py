@@ -13,7 +13,7 @@ from ...topology.digits import significant
 from ...topology.document import map_to_document
 from ...topology.topomap import TopoMap
 from ...topology.wording import quoted_formula
-from .route_graph import driving_seconds, driving_speed, seconds_sigma
+from .route_graph import driving_seconds, driving_speed, gone_properties, seconds_sigma
 
 
 def junctions_csv(topomap: TopoMap) -> str:
@@ -44,6 +44,7 @@ def corridors_csv(topomap: TopoMap) -> str:
     lengths and the same in every row."""
     seconds, speed = driving_seconds(topomap), driving_speed(topomap)
     spread, scale = seconds_sigma(topomap), significant(topomap.measured.scale)
+    gone = any(gone_properties(topomap, k) for k in range(len(topomap.source)))
     rows = [
         {
             "source": edge["source"],
@@ -60,6 +61,7 @@ def corridors_csv(topomap: TopoMap) -> str:
             "speed_m_per_s": f"{speed[k]:.3f}" if np.isfinite(speed[k]) else "",
             "path": json.dumps(edge["path"]),
         }
+        | ({"last_found": gone_properties(topomap, k).get("last_found", "")} if gone else {})
         for k, edge in enumerate(map_to_document(topomap)["edges"])
     ]
     return _table(rows, topomap, "edges")

@@ -18,7 +18,7 @@ import numpy as np
 from ...topology.digits import METRES, rounded, significant
 from ...topology.topomap import TopoMap
 from ...topology.wording import utc
-from .route_graph import VIA, RouteGraph, last_pass_ns, route_graph
+from .route_graph import VIA, RouteGraph, gone_properties, last_pass_ns, route_graph
 from .yaml_lines import yaml_text
 
 ACTION = "navigate_to_pose"
@@ -53,7 +53,7 @@ def tmap2_yaml(topomap: TopoMap, max_error_m: float) -> str:
     """
     graph, name = route_graph(topomap, max_error_m), topomap.run
     names = _names(graph)
-    edges = _edges(graph, names)
+    edges = _edges(topomap, graph, names)
     zone = _zones(graph.xy)
     nodes = []
     for k, (x, y) in enumerate(rounded(graph.xy, METRES)):
@@ -109,7 +109,7 @@ def _names(graph: RouteGraph) -> list[str]:
     ]
 
 
-def _edges(graph: RouteGraph, names: list[str]) -> list[list[dict[str, Any]]]:
+def _edges(topomap: TopoMap, graph: RouteGraph, names: list[str]) -> list[list[dict[str, Any]]]:
     """The edges that leave each node; parallel ones are numbered."""
     out: list[list[dict[str, Any]]] = [[] for _ in names]
     used: dict[str, int] = {}
@@ -124,6 +124,7 @@ def _edges(graph: RouteGraph, names: list[str]) -> list[list[dict[str, Any]]]:
                 "weight": length,
                 "length": length,
                 "length_sigma": rounded(graph.length_sigma[k], METRES),
+                **gone_properties(topomap, int(graph.edge[k])),
             }
             if np.isfinite(graph.seconds[k]):
                 properties["seconds"] = significant(float(graph.seconds[k]))
