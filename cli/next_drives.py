@@ -6,7 +6,7 @@ from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Annotated
 
-from ..merge.drive import Drive, drive_to_document
+from ..merge.drive import Drive, Undriven, drive_to_document, undriven_to_document
 from ..merge.drives import drives, never_driven
 from ..merge.result import MergeResult, Standing
 from ..topology.errors import UsageError
@@ -48,7 +48,8 @@ def next_drives(
     would settle. Two sites with an ambiguous pair of runs are joined by one drive through enough
     places of both, as the pair's best placement has them. Where no pair is open, a drive leads into
     the unknown, by a branch that nobody drove. Drives are ranked by the evidence that they are
-    expected to bring, in bits for each metre; below one bit none is proposed, and a line says so.
+    expected to bring, in bits for each metre; below one bit none is proposed. Then a line says so,
+    and the branches that nobody drove are listed, also in --json and GeoJSON (kind "undriven").
     Junctions have the numbers of merged.json, which the picture shows; SITE:9 is junction 9 of
     another site. After the drive: ingest its log, and merge again.
 
@@ -65,9 +66,10 @@ def next_drives(
         raise place.no_site(site, list(names))
     found = drives(result, most, None if site is None else names[site])
     shown = {*names} if site is None else {site}
-    write_files({path: _plan(path, found, result, shown, place) for path in output or ()})
+    left = [] if found else [b for b in never_driven(result) if b.site in shown]
+    write_files({path: _plan(path, found, left, result, shown, place) for path in output or ()})
     if as_json:
-        say_json([drive_to_document(d) for d in found])
+        say_json([*map(drive_to_document, found), *map(undriven_to_document, left)])
         return
     if not found:
         for line in nothing_worth(result, shown, place):
@@ -75,11 +77,18 @@ def next_drives(
     for line in _lines(found, result, place) if found else ():
         say(line)
     for path in output or ():
-        say(f"{path}")
+        empty = "" if found else _IN_AN_EMPTY_PLAN.get(path.suffix.lower(), "")
+        say(f"{path}{empty}")
     if not output:
         named = () if site is None else (site,)
         plan = place.call("next", *named, *place.of_merge, "-o", "plan.svg")
         say(f"on a map with numbers: {plan} (waypoints: plan.csv, plan.geojson)")
+
+
+_IN_AN_EMPTY_PLAN = {
+    ".csv": "  (no waypoints, as no drive is proposed)",
+    ".geojson": "  (the branches that nobody drove, as no drive is proposed)",
+}
 
 
 def _lines(found: Sequence[Drive], result: MergeResult, place: Workspace) -> list[str]:
@@ -99,19 +108,23 @@ def _lines(found: Sequence[Drive], result: MergeResult, place: Workspace) -> lis
 def nothing_worth(result: MergeResult, shown: Collection[str], place: Workspace) -> list[str]:
     """That no drive is worth it, why, and where the maps of the sites shown are not complete."""
     why = (
-        "nothing to record would join sites: no pair of runs is open, and no drive into the "
-        "unknown is expected to bring a bit of evidence"
+        "no drive is proposed: no pair of runs is in doubt, and none by a branch that nobody drove "
+        "is likely to show that two sites are one place"
     )
     if len(result.components) == 1:
         why = "there is one site: nothing is left to join"
     why = _not_to_settle(result, place) or why
-    ways = {name: own for name, own in never_driven(result).items() if name in shown}
+    ways: dict[str, dict[int, None]] = {}
+    for branch in never_driven(result):
+        if branch.site in shown:
+            ways.setdefault(branch.site, {})[branch.junction] = None
     if not ways:
         return [why, "every branch was driven"]
     out = [why, "branches that nobody drove, which would complete a map, are at:"]
-    for name, own in ways.items():
+    for name, own in sorted(ways.items()):
         told = len(own) <= MOST_JUNCTIONS or len(shown) == 1
-        which = f": {listed([str(v) for v in own], len(own))}" if told else ""
+        names = listed([str(v) for v in own], len(own))
+        which = f": {names}" if told else f" ({place.call('next', name, *place.of_merge)})"
         out.append(f"  {name}: {counted(len(own), 'junction')}{which}")
     return out
 
@@ -131,6 +144,7 @@ def _not_to_settle(result: MergeResult, place: Workspace) -> str:
 def _plan(
     path: Path,
     found: Sequence[Drive],
+    left: Sequence[Undriven],
     result: MergeResult,
     shown: Collection[str],
     place: Workspace,
@@ -139,7 +153,7 @@ def _plan(
     drove."""
     suffix = path.suffix.lower()
     if suffix in PLANS:
-        return drives_csv(found) if suffix == PLANS[0] else drives_geojson(found)
+        return drives_csv(found) if suffix == PLANS[0] else drives_geojson(found, left)
     quiet_fonts()
     from ..viz.draw import draw_merged
     from ..viz.palette import LIGHT

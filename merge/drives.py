@@ -30,7 +30,7 @@ from ..topology.arrays import BoolArray, FloatArray, IntArray
 from ..topology.digits import METRES, rounded
 from ..topology.driven_branches import driven_branches
 from ..topology.se2 import apply, compose, inverse, wrap
-from .drive import Drive, Stop
+from .drive import Drive, Stop, Undriven
 from .result import Component, FusedMap, MergeResult, PairVerdict, Verdict, fused_of, pairs_of
 from .robust.settings import MATCH
 
@@ -89,15 +89,19 @@ def drives(result: MergeResult, most: int = 5, component: int | None = None) -> 
     return tuple(found[:most])
 
 
-def never_driven(result: MergeResult) -> dict[str, list[int]]:
-    """The junctions of every site with a branch that nobody drove, by their numbers in the
-    document."""
+def never_driven(result: MergeResult) -> list[Undriven]:
+    """The branches that nobody drove, by the numbers of their junctions in the document."""
     fused, names = result.fused, {c.id: c.name for c in result.components}
-    out: dict[str, list[int]] = {}
-    for v in np.unique(fused.branches.owner[~driven_branches(fused)]).tolist():
-        if not fused.is_turned[v]:
-            out.setdefault(names[int(fused.component[v])], []).append(v)
-    return out
+    free = ~driven_branches(fused) & ~fused.is_turned[fused.branches.owner]
+    return [
+        Undriven(names[int(fused.component[v])], int(fused.component[v]), v, xy, heading)
+        for v, xy, heading in zip(
+            fused.branches.owner[free].tolist(),
+            fused.xy[fused.branches.owner[free]],
+            fused.branches.values[free].tolist(),
+            strict=True,
+        )
+    ]
 
 
 def _needed_junctions(result: MergeResult, per_junction: float) -> int:

@@ -265,6 +265,7 @@ def _heading(
     if alone is not None and alone.component.site:
         title = f"{alone.component.site}: {runs}"
     title = title if drives is None else f"What to record next: {title}"
+    title += "" if drives is None or drives else ": no drive is proposed"
     title = title if changes is None else f"What changed: {title}"
     count, (corridors_m, ways_m) = shown.standings(), shown.fused.lengths_m
     joined = count[Standing.JOINED]

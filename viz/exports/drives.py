@@ -7,7 +7,7 @@ import io
 import json
 from collections.abc import Sequence
 
-from ...merge.drive import Drive, drive_to_document
+from ...merge.drive import Drive, Undriven, drive_to_document, undriven_to_document
 from .nav2 import feature
 
 
@@ -27,8 +27,9 @@ def drives_csv(drives: Sequence[Drive]) -> str:
     return out.getvalue()
 
 
-def drives_geojson(drives: Sequence[Drive]) -> str:
-    """A line for each drive, and a point for each waypoint, in metres of the frame of its site."""
+def drives_geojson(drives: Sequence[Drive], undriven: Sequence[Undriven] = ()) -> str:
+    """A line for each drive, a point for each waypoint, and for the junction of each branch that
+    nobody drove, in metres of the frame of its site."""
     features = []
     for k, drive in enumerate(drives, 1):
         entry = drive_to_document(drive)
@@ -38,5 +39,9 @@ def drives_geojson(drives: Sequence[Drive]) -> str:
         for i, stop in enumerate(stops, 1):
             at = [stop.pop("x"), stop.pop("y")]
             features.append(feature("Point", at, about | {"stop": i} | stop))
+    for branch in undriven:
+        about = undriven_to_document(branch)
+        at = [about.pop("x"), about.pop("y")]
+        features.append(feature("Point", at, {"frame": branch.site} | about))
     document = {"type": "FeatureCollection", "name": "drives", "features": features}
     return json.dumps(document, ensure_ascii=False, allow_nan=False) + "\n"
