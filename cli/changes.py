@@ -6,10 +6,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from ..merge.change import Change, change_to_document
+from ..merge.change import Change, change_to_document, numbered
 from ..merge.changes import changes as changes_of
 from ..merge.result import Component, MergeResult
 from ..topology.wording import counted
+from ..viz.parts import in_order
 from .draw import picture_form, quiet_fonts, walled
 from .options import ComponentOption, HereWithMerge, JsonOption, argument, option, verb
 from .output import say, say_folded, say_json, write_files
@@ -47,29 +48,30 @@ def changes(
     """
     form = None if output is None else picture_form(output)
     result = place.read_result()
-    names = {c.id: c.name for c in result.components}
     component = place.component(result, component, site)
     found: list[Change] = []
-    several = [c for c in result.components if len(c.poses) > 1 and component in (None, c.id)]
+    several = [c for c in in_order(result) if len(c.poses) > 1 and component in (None, c.id)]
     for one in several:
         maps = place.maps_as_merged(result, one.id, sorted(one.poses))
         with place.document_at_fault():
             found += changes_of(result, one.id, maps)
-    shown = [c for c in found if everything or c.sure]
-    shown.sort(
-        key=lambda c: (names[c.component], 0 if c.between is None else c.between[1].first_ns)
-    )
+    told = numbered(c for c in found if everything or c.sure)
+    shown = [change for _, change in told]
     if output is not None and form is not None:
         write_files({output: _drawn(place, result, several, shown).as_bytes(form)})
     if as_json:
         sites = {c.id: c.site or None for c in result.components}
         say_json([change_to_document(c) | {"site": sites[c.component]} for c in shown])
         return
-    for change in shown:
-        what, *more_lines = change.words(names[change.component])
-        say(what)
-        for line in more_lines:
-            say_folded(f"  {line}", indent="    ")
+    for one in several:
+        own = [(k, change) for k, change in told if change.component == one.id]
+        if not own:
+            say(f"{one.name}: nothing changed")
+        for k, change in own:
+            what, *more_lines = change.words(one.name)
+            say(f"{k}. {what}")
+            for line in more_lines:
+                say_folded(f"  {line}", indent="    ")
     unsure = sum(not c.sure for c in found)
     more = f", and {counted(unsure, 'difference')} that may be due to chance" if unsure else ""
     hint = " (--all shows them)" if unsure and not everything else ""

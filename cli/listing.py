@@ -51,7 +51,7 @@ class Listed:
 def list_runs(place: Here, as_json: JsonOption = False) -> None:
     """List the runs of the workspace, by site.
 
-    The sites of the last merge, largest first, each with its junctions and corridors; their names
+    The sites of the last merge by name, each with its junctions and corridors; their names
     are what draw, export and changes take (topobatch site gives others). Of every run how large its
     map is and what is wrong with it, when the robot first passed a junction (its log may begin
     earlier), and what is stale: maps that changed since the merge, logs that changed or were read
@@ -100,20 +100,20 @@ def _row(row: Listed) -> tuple[str, ...]:
 
 
 def _by_site(rows: Sequence[Listed], sizes: Mapping[int, str]) -> list[tuple[str, list[int]]]:
-    """Titles, each with the numbers of the rows below it: the sites of several runs, the largest
-    first; runs that are alone; runs that were not merged. sizes: of components, in words."""
-    groups: dict[tuple[int, int, str], list[int]] = {}
+    """Titles, each with the numbers of the rows below it: the sites of several runs by
+    name; runs that are alone; runs that were not merged. sizes: of components, in words."""
+    groups: dict[tuple[int, str], list[int]] = {}
     for k, row in enumerate(rows):
         if row.component is None:
-            key = (1, 0, "not merged")
+            key = (2, "not merged")
         elif row.runs == 1 and row.site in (None, row.run):
-            key = (0, -1, "alone")
+            key = (1, "alone")
         else:
             called = row.site or f"component {row.component}"
             size = sizes.get(row.component, "")
-            key = (0, -(row.runs or 0), f"{called}: {counted(row.runs or 0, 'run')}{size}")
+            key = (0, f"{called}: {counted(row.runs or 0, 'run')}{size}")
         groups.setdefault(key, []).append(k)
-    return [(title, own) for (*_, title), own in sorted(groups.items())]
+    return [(title, own) for (_, title), own in sorted(groups.items())]
 
 
 def _last_merge(place: Workspace) -> MergedDocument | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from enum import StrEnum
 from typing import Any
@@ -112,6 +113,23 @@ def _who(witnesses: tuple[Witness, ...]) -> str:
 
 def _passes(witnesses: tuple[Witness, ...]) -> str:
     return counted(sum(w.passes for w in witnesses), "pass", "passes")
+
+
+def numbered(found: Iterable[Change]) -> list[tuple[int, Change]]:
+    """Changes with their numbers, by which lists and pictures call them: those of a site from 1 on,
+    the sure ones first, by time."""
+    by_site: dict[int, list[Change]] = {}
+    for change in found:
+        by_site.setdefault(change.component, []).append(change)
+    return [
+        (k, change)
+        for own in by_site.values()
+        for k, change in enumerate(sorted(own, key=_in_time), 1)
+    ]
+
+
+def _in_time(change: Change) -> tuple[bool, int, tuple[int, ...]]:
+    return not change.sure, change.between[1].first_ns if change.between else 0, change.junctions
 
 
 def change_to_document(change: Change) -> dict[str, Any]:

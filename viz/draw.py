@@ -7,7 +7,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from ..merge.change import Change
+from ..merge.change import Change, ChangeKind, numbered
 from ..merge.drive import Drive
 from ..merge.result import FusedMap, MergeResult, Standing, of_sites, site_views
 from ..topology.arrays import BoolArray, FloatArray
@@ -208,7 +208,7 @@ def draw_merged(
         if drives is not None:
             _unexplored(canvas, fused, T, free & np.isin(fused.branches.owner, part.vertices))
             _drives(canvas, part, drives)
-        _changes(canvas, fused, part, changes or ())
+        _changes(canvas, fused, part, changes or (), pen_pt)
     too_many = sites is not None and shown.fused.junctions > MOST_NUMBERED
     canvas.finish(_heading(shown, parts, drives, changes, too_many=too_many))
     return canvas
@@ -267,6 +267,7 @@ def _heading(
     title = title if drives is None else f"What to record next: {title}"
     title += "" if drives is None or drives else ": no drive is proposed"
     title = title if changes is None else f"What changed: {title}"
+    title += "" if changes is None or changes else ": nothing changed"
     count, (corridors_m, ways_m) = shown.standings(), shown.fused.lengths_m
     joined = count[Standing.JOINED]
     size = (
@@ -279,13 +280,13 @@ def _heading(
     if too_many and drives is None and changes is None:
         size += "; too many junctions for their numbers: in an SVG, point at one"
     names = {c.id: c.name for c in shown.components}
-    lines = [f"{'; '.join(drive.words)}; {drive.way}" for drive in drives or ()]
-    lines += ["; ".join(change.words(names[change.component])) for change in changes or ()]
-    return [title, size, *(f"{k}. {line}" for k, line in enumerate(lines, 1))]
+    lines = [f"{k}. {'; '.join(d.words)}; {d.way}" for k, d in enumerate(drives or (), 1)]
+    lines += [f"{k}. {'; '.join(c.words(names[c.component]))}" for k, c in numbered(changes or ())]
+    return [title, size, *lines]
 
 
-DRIVE_PT, CHANGE_PT = 7.0, 12.0
-"""Width of a drive to record and of a changed corridor, below the lines of runs."""
+DRIVE_PT = 7.0
+"""Width of a drive to record, below the lines of runs."""
 
 
 def _drives(canvas: Canvas, part: Part, drives: Sequence[Drive]) -> None:
@@ -311,17 +312,30 @@ def _drives(canvas: Canvas, part: Part, drives: Sequence[Drive]) -> None:
         canvas.words(at + np.array([0.0, away_m]), ", ".join(numbers), bold=True, of=at)
 
 
-def _changes(canvas: Canvas, fused: FusedMap, part: Part, changes: Sequence[Change]) -> None:
-    """Draw what changed in a component, each with its number in the list."""
-    T, aside = part.cell.T_sheet_map, 1.6 * TEXT_PT / canvas.points_per_m
-    colour, key = canvas.theme["against"], "what changed, with its number in the list"
-    for k, change in enumerate(changes, 1):
+CHANGED = {
+    ChangeKind.GONE: ("against", "gone, with its number in the list"),
+    ChangeKind.NEW: ("agrees", "new, with its number in the list"),
+    ChangeKind.DIFFERS: ("unexplored", "there at times, with its number in the list"),
+}
+"""Colours of changes, and what the key calls them."""
+
+
+def _changes(
+    canvas: Canvas, fused: FusedMap, part: Part, changes: Sequence[Change], pen_pt: float
+) -> None:
+    """Draw what changed in a component, each with its number in the list: a rim round the lines of
+    a corridor's runs, a ring round a junction."""
+    T, aside = part.cell.T_sheet_map, 1.0 * TEXT_PT / canvas.points_per_m
+    for k, change in numbered(changes):
         if change.component != part.component.id:
             continue
         path = [apply(T, changed_path(fused, part.edges, change))]
         at, tips = apply(T, np.array(change.xy)), [f"change {k}"]
-        canvas.lines(path, colour, CHANGE_PT, order=Order.EVIDENCE, tips=tips, key=key)
-        canvas.dots(at[None], colour, 2 * DRIVE_PT, order=Order.RING, ring=True, key=key)
+        ink, key = CHANGED[change.kind]
+        colour, rim_pt = canvas.theme[ink], pen_pt * (len(change.there) + 3)
+        if change.edge is None:
+            canvas.dots(at[None], colour, 2 * DRIVE_PT, order=Order.RING, ring=True, key=key)
+        canvas.lines(path, colour, rim_pt, order=Order.EVIDENCE, tips=tips, key=key)
         canvas.words(at + aside, str(k), bold=True, of=at)
 
 

@@ -51,8 +51,8 @@ class Part:
 
 
 def in_order(result: MergeResult) -> list[Component]:
-    """The components, those of most runs first."""
-    return sorted(result.components, key=lambda c: (-len(c.poses), c.id))
+    """The components by name, those of several runs first."""
+    return sorted(result.components, key=lambda c: (len(c.poses) == 1, c.name, c.id))
 
 
 def lay_out(
@@ -117,7 +117,7 @@ CLASS = {standing: k for k, standing in enumerate(Standing, start=DIAGONAL + 1)}
 
 
 def runs_in_order(result: MergeResult) -> list[str]:
-    """All runs by component, components of most runs first."""
+    """All runs by component, `in_order`."""
     return [run for component in in_order(result) for run in sorted(component.poses)]
 
 

@@ -20,7 +20,7 @@ from bokeh.models import ColumnDataSource, FixedTicker
 from bokeh.resources import Resources
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from ..merge.change import Change
+from ..merge.change import Change, numbered
 from ..merge.decision import Decision
 from ..merge.drive import Drive
 from ..merge.result import Component, MergeResult, Standing, of_sites, shown_bits
@@ -185,10 +185,10 @@ def answer(report: Report, runs: Sequence[str]) -> list[str]:
 
 
 def _groups(result: MergeResult) -> tuple[list[Component], list[Component]]:
-    """Components of several runs, those of most first, and those of one."""
+    """Components of several runs, and those of one."""
     ordered = in_order(result)
     several = [c for c in ordered if len(c.poses) > 1]
-    return several, sorted(ordered[len(several) :], key=lambda c: c.name)
+    return several, ordered[len(several) :]
 
 
 def _warnings(report: Report) -> list[str]:
@@ -212,8 +212,9 @@ def _sites(report: Report) -> list[dict[str, Any]]:
     begins = {d.component for d in report.drives}
     several, alone = _groups(result)
     shown = [*several, *(c for c in alone if c.id in begins or len(result.components) == 1)]
+    largest = sorted(shown, key=lambda c: -len(c.poses))[:MOST_MAPS]
     out = []
-    for c in shown[:MOST_MAPS]:
+    for c in (c for c in shown if c in largest):
         runs, fused = sorted(c.poses), of_sites(result, [c.id]).fused
         maps = {run: report.maps[run] for run in runs if report.as_merged and run in report.maps}
         plot = site_map(result, c, maps, report.changes, report.drives)
@@ -235,10 +236,16 @@ def _sites(report: Report) -> list[dict[str, Any]]:
     return out
 
 
-def _changes(report: Report) -> list[str]:
-    """The words of every change."""
-    names = {c.id: c.name for c in report.result.components} if report.result else {}
-    return [describe_change(c, names[c.component]) for c in report.changes if c.sure]
+def _changes(report: Report) -> list[tuple[str, list[str]]]:
+    """The words of the changes of every site of several runs, in the order of their numbers."""
+    if report.result is None or not report.as_merged:
+        return []
+    several, _ = _groups(report.result)
+    sure = [c for _, c in numbered(report.changes) if c.sure]
+    return [
+        (own.name, [describe_change(c, own.name) for c in sure if c.component == own.id])
+        for own in several
+    ]
 
 
 def _time_line(report: Report, runs: Sequence[str]) -> Any | None:

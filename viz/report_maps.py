@@ -18,7 +18,7 @@ from bokeh.models.annotations.legends import ScaleBar
 from bokeh.plotting import figure
 from PIL import Image
 
-from ..merge.change import Change
+from ..merge.change import Change, ChangeKind, numbered
 from ..merge.drive import Drive
 from ..merge.result import Component, FusedMap, MergeResult, site_views
 from ..topology.arrays import FloatArray, IntArray
@@ -41,6 +41,8 @@ INK, FAINT, CHOSEN = "#6f7682", "#9aa2ae", "#c026d3"
 and on the dark page."""
 
 GOOD, BAD, PLANNED = LIGHT["agrees"], LIGHT["against"], "#8b5cf6"
+
+CHANGED = {ChangeKind.GONE: BAD, ChangeKind.NEW: GOOD, ChangeKind.DIFFERS: PLANNED}
 
 PICTURE_PX = 700.0
 """A map's width on a page of usual width."""
@@ -220,12 +222,18 @@ class _Site:
         """What is gone, new, or there at times."""
         if not shown:
             return
-        paths, tips = (
-            [changed_path(self.fused, self.edges, c) for c in shown],
-            [describe_change(c, self.own.name) for c in shown],
-        )
-        self._lines(paths, tips, BAD, "changes", line_width=9.0, line_alpha=0.4)
-        self._dots(np.array([c.xy for c in shown]), tips, BAD, "changes", 16.0, ring=True)
+        told = numbered(shown)
+        for kind, ink in CHANGED.items():
+            some = [c for _, c in told if c.kind is kind]
+            paths = [changed_path(self.fused, self.edges, c) for c in some]
+            tips = [describe_change(c, self.own.name) for c in some]
+            self._lines(paths, tips, ink, "changes", line_width=6.0, line_alpha=0.6)
+            places = [k for k, c in enumerate(some) if c.edge is None]
+            at = np.array([some[k].xy for k in places])
+            self._dots(at, [tips[k] for k in places], ink, "changes", 16.0, ring=True)
+            numbers = [f"{k}" for k, c in told if c.kind is kind]
+            at = np.array([c.xy for c in some])
+            self._words(at, numbers, ink, "changes", (8, -12), text_font_style="bold")
 
     def drives(self, found: Sequence[tuple[int, Drive]]) -> None:
         """What to record next: the way, and a ring where it begins."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 from dataclasses import replace
 
 import pytest
@@ -54,6 +55,8 @@ def test_changes_are_drawn_with_the_numbers_of_their_list(topobatch, place, tmp_
     assert "What changed: " in svg
     assert "1. " in svg
     assert "<title>change 1</title>" in svg
+    assert "gone, with its number in the list" in svg
+    assert "1. " in shown.out
     assert "gone: corridor of" in " ".join(re.findall(r">([^<>]*)</text>", svg))
     assert "ends in .svg or .png" in topobatch("changes", "-o", "a.txt", "-w", place.root).error(2)
 
@@ -85,6 +88,12 @@ def test_calls_that_cannot_be(topobatch, place, tmp_path) -> None:
     one = place.read_map("run1")
     write_map(alone.map_json("run1"), one)
     write_merged(alone.merged_json, merge_maps([one]))
+    shutil.copytree(place.root, tmp_path / "same")
+    same = Workspace(tmp_path / "same")
+    twin = replace(one, run="twin")
+    write_map(same.map_json("twin"), twin)
+    write_merged(same.merged_json, merge_maps([one, twin]))
+    assert ": nothing changed\n" in topobatch("changes", "-w", same.root).out
     assert "nothing to compare" in topobatch("changes", "-w", alone.root).out
     write_map(alone.map_json("run1"), replace(one, observation_time_ns=one.observation_time_ns + 1))
     other = place.read_map("run2")
