@@ -12,12 +12,13 @@ from textwrap import shorten
 import typer
 
 from ..ingest.remote.path import is_remote
+from ..merge.decision_text import weakest_links
 from ..merge.merged_schema import ComponentEntry, MergedDocument
 from ..topology.errors import DataError
 from ..topology.turning_points import KINDS
 from ..topology.wording import counted, utc
 from .options import Here, JsonOption, verb
-from .output import complain, say, say_json, table, warn
+from .output import complain, say, say_folded, say_json, table, warn
 from .unchanged import changed_since
 from .version import VERSION
 from .workspace import Workspace
@@ -83,7 +84,7 @@ def _show(rows: Sequence[Listed], sizes: Mapping[int, str], gone: int) -> None:
     first, *lines = table(head, [_row(row) for row in rows])
     say(first)
     for title, own in _by_site(rows, sizes):
-        say(title)
+        say_folded(title, indent="    ")
         for k in own:
             say(lines[k])
     if gone:
@@ -128,7 +129,7 @@ def _last_merge(place: Workspace) -> MergedDocument | None:
 
 def _sizes(document: MergedDocument) -> dict[int, str]:
     """Junctions and corridors of every component; of several, the numbers of its junctions, which
-    follow each other."""
+    follow each other, and its weakest link."""
     home = {node.id: node.component for node in document.nodes if node.kind not in KINDS}
     junctions: dict[int, list[int]] = {}
     lengths: dict[int, list[float]] = {component: [] for component in home.values()}
@@ -137,12 +138,13 @@ def _sizes(document: MergedDocument) -> dict[int, str]:
     for edge in document.edges:
         if edge.source in home and edge.target in home:
             lengths[home[edge.source]].append(edge.length)
+    weakest = weakest_links(document.merges, document.graph.home)
     out = {}
     for c, own in junctions.items():
         ways = f"{counted(len(lengths[c]), 'corridor')} ({sum(lengths[c]):,.0f} m)"
         many = len(junctions) > 1 and len(own) > 1
         between = f" (numbers {min(own)} to {max(own)})" if many else ""
-        out[c] = f", {counted(len(own), 'junction')}{between}, {ways}"
+        out[c] = f", {counted(len(own), 'junction')}{between}, {ways}{weakest.get(c, '')}"
     return out
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from ..merge.decision_text import weakest_links
 from ..merge.document import read_merged
 from ..merge.merged_schema import MergedDocument
 from ..merge.result import MergeResult, PairVerdict, Standing
@@ -254,29 +255,18 @@ def _show_sites(result: MergeResult, place: Workspace) -> None:
     """Print a line for each site of several runs, the largest first, and one for runs that stand
     alone."""
     sites = sorted((c for c in result.components if len(c.poses) > 1), key=lambda c: -len(c.poses))
+    home = {run: c.id for c in sites[:MOST_SITES] for run in c.poses}
+    weakest = weakest_links(result.verdicts, home)
     for site in sites[:MOST_SITES]:
         names = listed(sorted(site.poses), MOST_RUNS)
-        sure = _weakest(result, site.poses)
-        say_folded(f"site {site.name}: {counted(len(site.poses), 'run')}: {names}{sure}")
+        runs = counted(len(site.poses), "run")
+        say_folded(f"site {site.name}: {runs}: {names}{weakest.get(site.id, '')}")
     if len(sites) > MOST_SITES:
         more = counted(len(sites) - MOST_SITES, "more site")
         say(f"and {more}: {place.call('list')}")
     alone = [c.alone for c in result.components if len(c.poses) == 1]
     if alone:
         say_folded(f"alone: {listed(sorted(alone), MOST_RUNS)}")
-
-
-def _weakest(result: MergeResult, runs: Collection[str]) -> str:
-    """The pair with the least evidence of those that hold the runs of a site together best."""
-    from scipy.cluster.hierarchy import DisjointSet
-
-    told, joined = "", DisjointSet(runs)
-    for pair in sorted(result.verdicts, key=lambda pair: -pair.evidence_bits):
-        need = pair.threshold_bits
-        if pair.accepted and pair.a in runs and need is not None and joined.merge(pair.a, pair.b):
-            bits = describe_bits(pair.evidence_bits, need)
-            told = f"; weakest link {pair.a} + {pair.b}, {bits}"
-    return told
 
 
 def _next_steps(result: MergeResult, place: Workspace) -> Iterator[str]:

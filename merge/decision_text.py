@@ -5,10 +5,10 @@ Degrees and decimals for people; documents hold radians.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from textwrap import shorten, wrap
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -19,7 +19,10 @@ from .decision import AGAINST, LINKS, Decision, Placement, Term, TermKind
 from .locks import DISCARDED, discarded
 from .result import PairVerdict, Verdict, shown_bits
 from .robust.settings import MATCH
-from .wording import AGREES_BITS, decimals, describe_agreement
+from .wording import AGREES_BITS, decimals, describe_agreement, describe_bits
+
+if TYPE_CHECKING:  # which loads pydantic
+    from .merged_schema import MergeEntry
 
 WIDTH = 79
 """Columns of the smallest usual terminal."""
@@ -142,6 +145,23 @@ def _contradicted(placement: Placement) -> str:
     if against:
         return f"{against} {'contradicts' if against == 1 else 'contradict'}"
     return "nothing contradicts" if placement.searched else "contradictions were not looked for"
+
+
+def weakest_links(
+    pairs: Iterable[PairVerdict | MergeEntry], home: Mapping[str, int]
+) -> dict[int, str]:
+    """Of every component the pair with the least evidence of those that hold its runs together
+    best, in words. home: the component of every run."""
+    from scipy.cluster.hierarchy import DisjointSet
+
+    out: dict[int, str] = {}
+    joined = DisjointSet(home)
+    for pair in sorted((p for p in pairs if p.accepted), key=lambda p: -p.evidence_bits):
+        need = pair.threshold_bits
+        if need is not None and pair.a in home and joined.merge(pair.a, pair.b):
+            bits = describe_bits(pair.evidence_bits, need)
+            out[home[pair.a]] = f"; weakest link {pair.a} + {pair.b}, {bits}"
+    return out
 
 
 def _pose(transform: FloatArray) -> str:

@@ -10,9 +10,22 @@ const data = read("runs");
 // Figures: made in order, one at a time, so that the first can be seen before the last is made.
 async function draw(place) {
   if (!plots.has(place)) plots.set(place, Bokeh.embed.embed_item(read(place.dataset.item), place)
-    .then(views => views.roots[0].model));
+    .then(views => inked(views.roots[0].model)));
   return plots.get(place);
 }
+// Numbers and names are as dark, or as light, as the page's own small print.
+function inked(plot) {
+  const ink = getComputedStyle(document.documentElement).getPropertyValue("--dim").trim();
+  for (const r of plot.renderers) if (r.glyph.text_color && [INK, r.glyph.inked].includes(r.glyph.text_color.value))
+    for (const glyph of [r.glyph, r.selection_glyph, r.nonselection_glyph])
+      if (glyph?.text_color) { glyph.inked = ink; glyph.text_color = {value: ink}; }
+  for (const part of [...plot.left, ...plot.below, ...plot.center])
+    for (const own of ["major_label_text_color", "label_text_color"]) if (own in part) part[own] = ink;
+  return plot;
+}
+const INK = "#6f7682";
+for (const paper of ["(prefers-color-scheme:dark)", "print"])
+  matchMedia(paper).addEventListener("change", () => plots.forEach(plot => plot.then(inked)));
 
 // Both axes of a map have one scale, whatever the shape of its picture.
 function show(plot, box) {
@@ -136,15 +149,16 @@ async function site(place) {
 const NEAR_PX = 12;
 
 // Pairs.
+const JOINED = "joined through others";
 const n = data.runs.length, both = (i, j) => Math.min(i, j) * n + Math.max(i, j);
 const pairs = new Map(data.pairs.map(p => [both(p.i, p.j), p])), pair = (i, j) => pairs.get(both(i, j));
 function spelled(i, j) {
   const [a, b] = [data.runs[i], data.runs[j]], p = pair(i, j);
   if (i === j) return a.name;
   const names = `${a.name} + ${b.name}: `;
-  if (p) return `${names}${data.standings[p.s]}, ${p.bits} bits`;
+  if (p) return names + data.standings[p.s] + (data.standings[p.s] === JOINED ? "" : `, ${p.bits} bits`);
   if (data.counted && a.site !== undefined && b.site !== undefined)
-    return `${names}${a.site === b.site ? "joined through others" : "unrelated"}; a large merge does not list it`;
+    return `${names}${a.site === b.site ? JOINED : "unrelated"}; a large merge does not list it`;
   return `${names}not merged together`;
 }
 const turned = (t, x, y) => [t[0] + Math.cos(t[2]) * x - Math.sin(t[2]) * y,
@@ -185,11 +199,10 @@ function fill(plot, a, b, placed) {
   show(plot, plot.box);
   rescale(plot);
 }
-function command(place, words, what) {
-  const field = made("input", "", {readOnly: true, value: words, ariaLabel: what});
-  const button = made("button", "copy", {type: "button"});
-  button.onclick = () => { field.select(); document.execCommand("copy"); button.textContent = "copied"; };
-  place.replaceChildren(field, button);
+function command(place, words, when) {
+  const field = made("code", words), button = made("button", "copy", {type: "button"});
+  button.onclick = () => { getSelection().selectAllChildren(field); document.execCommand("copy"); button.textContent = "copied"; };
+  place.replaceChildren(made("span", when), field, button);
 }
 function evidence(p) {
   const table = find("#evidence"), rows = p?.rows ?? [];
@@ -221,6 +234,7 @@ async function open(i, j) {
   told.replaceChildren(...lines.map(line => made("p", line)));
   const placed = p?.placed ?? [], figures = every("#pair figure");
   const names = ["best placement", "next best placement"];
+  if (find("#key")) find("#key").hidden = true;
   for (const [k, figure] of figures.entries()) {
     const at = placed[k], drawn = alone ? k === 0 && a.map : at && a.map && b.map;
     figure.hidden = !drawn;
@@ -236,13 +250,14 @@ async function open(i, j) {
       const others = new Set((placed[1 - k]?.ties ?? []).map(String));
       const own = at.ties.find(t => !others.has(String(t)));
       const where = placed.length > 1 && own ? ` --at ${own.join(",")}` : "";
-      command(find(".copy", figure), call(`lock ${a.shell} ${b.shell} --same${where}`), "the two are one place, like this");
+      command(find(".copy", figure), call(`lock ${a.shell} ${b.shell} --same${where}`), "if they are one place:");
+      find("#key").hidden = false;
     }
     fill(await draw(find(".map", figure)), a, b, at);
   }
   evidence(p);
   if (alone) find("#never").replaceChildren();
-  else command(find("#never"), call(`lock ${a.shell} ${b.shell} --never`), "the two are apart");
+  else command(find("#never"), call(`lock ${a.shell} ${b.shell} --never`), "if not:");
 }
 async function matrix(place) {
   const plot = await draw(place), pointed = find("#pointed");

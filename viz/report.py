@@ -22,6 +22,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from ..merge.change import Change, numbered
 from ..merge.decision import Decision
+from ..merge.decision_text import weakest_links
 from ..merge.drive import Drive
 from ..merge.result import Component, MergeResult, Standing, of_sites, shown_bits
 from ..topology.arrays import FloatArray, IntArray
@@ -210,6 +211,7 @@ def _sites(report: Report) -> list[dict[str, Any]]:
         return []
     rank = ranks(result)
     begins = {d.component for d in report.drives}
+    weakest = weakest_links(result.verdicts, {r: c.id for c in result.components for r in c.poses})
     several, alone = _groups(result)
     shown = [*several, *(c for c in alone if c.id in begins or len(result.components) == 1)]
     largest = sorted(shown, key=lambda c: -len(c.poses))[:MOST_MAPS]
@@ -226,7 +228,8 @@ def _sites(report: Report) -> list[dict[str, Any]]:
                 "name": c.name,
                 "figure": plot,
                 "told": f"{counted(len(runs), 'run')}, {counted(fused.junctions, 'junction')}, "
-                f"{fused.lengths_m[0]:,.0f} m of corridors{to_turning_points(fused.turned)}",
+                f"{fused.lengths_m[0]:,.0f} m of corridors{to_turning_points(fused.turned)}"
+                f"{legible(weakest.get(c.id, ''))}",
                 "runs": list(zip(runs, ink, strict=True)),
                 "shape": round(wide / high, 3),
                 "turn": f"{np.degrees(upright_rad(fused.paths)):.0f}",

@@ -283,9 +283,9 @@ class _Site:
         sure = "" if sigma is None or np.isnan(sigma[v]) else f", ± {sigma[v]:.2f} m"
         x, y = f.xy[v]
         kind = f.kind[v].replace("_", " ")
-        own = [f"{run} ({', '.join(map(str, f.members[v][run]))})" for run in runs]
+        own = [f"{run} (its {', '.join(map(str, f.members[v][run]))})" for run in runs]
         return (
-            f"{kind[0].upper()}{kind[1:]} {v}: "
+            f"Junction {v}{'' if kind == 'junction' else f' ({kind})'}: "
             f"{counted(len(f.branches[v]), 'branch', 'branches')}, "
             f"{counted(len(f.observations[v]), 'pass', 'passes')} by {listed(own, MOST_RUNS)}; at "
             f"({x:.2f}, {y:.2f}) m{sure}"
@@ -296,8 +296,8 @@ class _Site:
         reach = 0.05 * (self.plot.x_range.end - self.plot.x_range.start)
         tips = np.array([(reach, 0.0), (0.0, reach)])
         x, y = self._path_columns(np.stack([np.zeros(2), tip]) for tip in tips)
-        source = ColumnDataSource({"xs": x, "ys": y, "ink": [BAD, GOOD]})
-        self.plot.multi_line("xs", "ys", source=source, line_color="ink", line_width=4, name="axes")
+        source = ColumnDataSource({"xs": x, "ys": y})
+        self.plot.multi_line("xs", "ys", source=source, line_color=INK, line_width=1.2, name="axes")
         self._words(1.3 * tips, ["x", "y"], INK, "axes", (0, 0), text_align="center")
 
     def _path_columns(self, paths: Iterable[FloatArray]) -> tuple[Any, Any]:

@@ -57,9 +57,11 @@ def matrix_figure(result: MergeResult) -> Any:
     names = {k + 0.5: run for k, run in enumerate(runs)}
     if n > MOST_NAMES:
         names = {(b + e) / 2: site for site, b, e in spans if e - b >= n / MOST_NAMES}
-    for part in (*plot.xaxis, *plot.grid):
+    for part in plot.grid:
         part.update(visible=False)
-    named_axis(plot.yaxis[0], names)
+    for axis in (plot.xaxis[0], plot.yaxis[0]):
+        named_axis(axis, names)
+    plot.xaxis[0].update(major_label_orientation="vertical")
     return plot
 
 
@@ -160,7 +162,8 @@ def _opened(
     if pair.locked:
         out["locked"] = pair.locked
     if decision is not None:
-        lines = [because(decision), advice(decision), f"Needed: {needs(decision)}"]
+        need = shown_bits(decision.requirement.threshold_bits, digits_of(decision))
+        lines = [because(decision), advice(decision), f"{need} bits needed: {needs(decision)}"]
         lines += [f"Note: {note}" for note in decision.notes]
         out["told"] = [legible(line) for line in lines if line]
         digits = digits_of(decision)

@@ -45,7 +45,9 @@ def test_list(topobatch, merged):
         "run", "junctions", "corridors", "first", "pass", "(UTC)", "health", "stale",
     ]  # fmt: skip
     titles = [line for line in lines[1:-1] if not line.startswith("  ")]
-    assert len(lines) == 9 + len(titles)
+    folded = [line for line in lines if line.startswith("    ")]
+    assert len(lines) == 9 + len(titles) + len(folded)
+    assert "; weakest link " in " ".join(shown.out.split())
     assert lines[-1] == "7 runs"
     told = json.loads(topobatch("list", "--json", "-w", merged).out)
     home = {run: c["id"] for c in document(merged)["graph"]["components"] for run in c["runs"]}

@@ -184,7 +184,7 @@ def test_a_site_has_layers_and_says_what_is_clicked(merge_of) -> None:
     corridors, *dots = layers[None]
     assert corridors["told"][0] == ("Corridor 0 to 1: 10.00 ± 0.10 m, driven 2 times by a, b")
     assert next(told for d in dots for told in d["told"]).startswith(
-        "Junction 0: 3 branches, 1 pass by a (0), b (0); at (0.00, 0.00) m"
+        "Junction 0: 3 branches, 1 pass by a (its 0), b (its 0); at (0.00, 0.00) m"
     )
     assert len(layers["runs"][0]["xs"]) == 10  # a strand for each run
     assert layers["changes"][0]["told"][0].startswith("Gone: corridor")
@@ -215,7 +215,9 @@ def test_every_pair_is_in_the_page_with_its_reason(merge_of) -> None:
     assert any(row[1:4] == ["corridor: 10.00 m, 10.10 m", "0-1", "0-1"] for row in shown["rows"])
     assert "Note: merge again" in shown["told"]
     assert any("To settle it: go on" in line for line in shown["told"])
-    assert any(line.startswith("Needed: log2(6 pairs / rate 0.001)") for line in shown["told"])
+    assert any(
+        line.startswith("12.6 bits needed: log2(6 pairs / rate 0.001)") for line in shown["told"]
+    )
     sums = [row[-2] for row in shown["rows"] if row[0] == 0]
     assert sum(map(float, filter(None, sums))) == pytest.approx(6.0)
 

@@ -123,7 +123,7 @@ def test_a_map_is_clicked_moved_zoomed_and_its_layers_switched(opened, html, tmp
     shows(page, ".site .told", "Junction 2:")
     page.locator(".site .find").first.fill("4")
     page.keyboard.press("Enter")
-    shows(page, ".site .told", "end 4:")
+    shows(page, ".site .told", "Junction 4 (dead end):")
     page.locator(".site [data-zoom='0']").first.click()
     wide = page.locator(MAP).first.evaluate(WIDTH)
     page.locator(".site [data-zoom='0.67']").first.click()
@@ -155,7 +155,7 @@ def test_a_square_of_the_matrix_opens_its_pair(opened, html, tmp_path) -> None:
     shows(page, "#pair-title", "b + c")
     assert page.locator("#pair figure:visible").count() == 2
     shows(page, "#evidence", "corridor: 10.00 m, 10.10 m")
-    commands = [field.input_value() for field in page.locator("#pair .copy input").all()]
+    commands = page.locator("#pair .copy code").all_inner_texts()
     assert commands[0].startswith("topobatch lock b c --same --at ")
     assert commands[1] == "topobatch lock b c --same"  # all its pairs are those of the best, too
     assert commands[2] == "topobatch lock b c --never"
@@ -181,7 +181,7 @@ def test_a_pair_is_opened_in_the_order_of_its_verdict(opened, merge_of) -> None:
     shows(page, "#pair-title", "a + c")
     shows(page, "#pair figcaption", "a  c")
     shows(page, "#pair-told", "topobatch explain a c")
-    assert "lock a c" in page.locator("#never input").input_value()
+    assert "lock a c" in page.locator("#never code").inner_text()
 
 
 def test_the_evidence_of_a_pair_fits_a_phone(opened, html) -> None:
