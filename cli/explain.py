@@ -2,26 +2,32 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
 from functools import cache
 from typing import Annotated, Literal
 
+from ..merge.changes import changes as changes_of
 from ..merge.decision import Decision, to_document
 from ..merge.decision_text import lines
 from ..merge.merged_schema import MergedDocument
 from ..merge.result import shown_bits
-from ..topology.errors import UsageError
+from ..topology.errors import DataError, UsageError
 from ..topology.topomap import TopoMap
 from ..topology.wording import counted
 from .matching import kept_results, settings_of
 from .options import HereWithMerge, JsonOption, argument, complete_run, option, verb
-from .output import say, say_json, say_lines, width
+from .output import is_terminal, say, say_json, say_lines, width
 from .paper_options import PaperOptions
 from .unchanged import changed_since, told_changed
 from .workspace import MERGED, Workspace
 
 TO_MERGE = "topobatch merge --all"
 """What gives runs a verdict."""
+
+MOST_COMPARED = 100
+"""Runs of a site whose maps are read to tell what changed: reading more takes too long."""
 
 
 @verb
@@ -91,7 +97,8 @@ def _by_evidence(place: Workspace, pair: tuple[str, str], as_json: bool, rows: i
         return
     # Pictures, which may be moved, have the call without the workspace.
     notes = [n.replace(TO_MERGE, place.call("merge", "--all")) for n in decision.notes]
-    for line in lines(replace(decision, notes=tuple(notes)), rows, width()):
+    told, whole = replace(decision, notes=tuple(notes)), not is_terminal()
+    for line in lines(told, rows, width(), whole=whole):
         say_lines(line)
     say(f"as a picture: {place.call('draw', ':'.join(pair), 'why.svg')}")
 
@@ -126,7 +133,24 @@ def decided(place: Workspace, pair: tuple[str, str]) -> tuple[TopoMap, TopoMap, 
     decision = explain(merge, *pair)
     a, b = map(read, pair)
     notes += decision.notes
+    if decision.of_merge and not why_not:
+        notes += _changes(place, pair)
     return a, b, replace(decision, notes=tuple(notes), of_merge=decision.of_merge and not why_not)
+
+
+def _changes(place: Workspace, pair: tuple[str, str]) -> Iterator[str]:
+    """What changed between two runs of a site: the verdict counts such corridors as not matched,
+    which contradicts nothing."""
+    result = place.read_result()
+    site = next((c for c in result.components if c.poses.keys() >= set(pair)), None)
+    if site is None or len(site.poses) > MOST_COMPARED:
+        return
+    with suppress(DataError):  # maps that changed since the merge
+        found = changes_of(result, site.id, place.maps_as_merged(result, site.id, [*site.poses]))
+        for change in found:
+            if change.sure and change.differs_for(*pair):
+                what, *_ = change.words(site.name)
+                yield f"{what} ({place.call('changes', site.name, *place.of_merge)})"
 
 
 def _last_merge(place: Workspace) -> MergedDocument | None:

@@ -98,6 +98,11 @@ def painted(text: str) -> str:
     return _VERDICT.sub(lambda found: styled(found[0], fg=COLOURS[found[0]]), text)
 
 
+def is_terminal() -> bool:
+    """Whether the output is read on a terminal, not by a program or from a file."""
+    return sys.stdout.isatty()
+
+
 def width() -> int:
     """Width of lines: that of the terminal, within limits."""
     if not sys.stdout.isatty():

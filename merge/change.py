@@ -70,6 +70,11 @@ class Change:
         old, new = (self.there, self.missing) if gone else (self.missing, self.there)
         return max(old, key=lambda w: w.last_ns), min(new, key=lambda w: w.first_ns)
 
+    def differs_for(self, a: str, b: str) -> bool:
+        """Whether one of two runs found it and the other one did not."""
+        there, missing = ({w.run for w in side} for side in (self.there, self.missing))
+        return (a in there and b in missing) or (b in there and a in missing)
+
     def words(self, site: str) -> tuple[str, ...]:
         """What changed and where; between which dates (UTC); who found it and who did not; the
         evidence."""

@@ -319,9 +319,11 @@ def matched(placement: Placement) -> str:
     return " ".join(f"{u}={v}" for u, v in placement.alignment.matched.tolist())
 
 
-def lines(decision: Decision, links: int | None = None, width: int = WIDTH) -> list[str]:
+def lines(
+    decision: Decision, links: int | None = None, width: int = WIDTH, *, whole: bool = False
+) -> list[str]:
     """The decision as lines of a terminal, `width` columns wide, the verdict first. links: most
-    rows of links, `MOST_LINKS` by default."""
+    rows of links, `MOST_LINKS` by default; whole: texts that are too long are not cut."""
     pair = decision.pair
     out = _folded(headline(decision), width)
     told = [because(decision), lies(decision)]
@@ -334,10 +336,12 @@ def lines(decision: Decision, links: int | None = None, width: int = WIDTH) -> l
     elif len(decision.placements) > 1:
         second = f"the {other_name(decision)} lays it at {_pose(poses[1])}"
         out += _folded(second, width, "  ")
-    out += _table(decision, MOST_LINKS if links is None else links, width)
+    table = _table(decision, MOST_LINKS if links is None else links, width)
+    out += [_line(*row, width, whole=whole) for row in table]
     if decision.placements:
         pairs = f"{short(pair.a)} = {short(pair.b)}: {matched(decision.placements[0])}"
-        out.append("  " + shorten(pairs, width - 2, placeholder=" …"))
+        cut = pairs if whole else shorten(pairs, width - 2, placeholder=" …")
+        out += _folded(cut, width, "  ")
     out += _folded(advice(decision), width, "  ")
     for note in decision.notes:
         out += _folded(f"Note: {note}", width, "  ")
@@ -356,33 +360,41 @@ def _folded(text: str, width: int, indent: str = "") -> list[str]:
     )
 
 
-def _table(decision: Decision, links: int, width: int) -> list[str]:
+_Line = tuple[Sequence[str], str, tuple[str, str]]
+"""A line of the table: numbers, text, and the junctions of both runs."""
+
+NO_ENDS = ("", "")
+
+
+def _table(decision: Decision, links: int, width: int) -> list[_Line]:
     """The table of evidence, its sum and the requirements."""
     digits, count = digits_of(decision), len(decision.placements)
     if not count:
-        return [_row([_threshold(decision)], f"bits needed: {needs(decision)}", width)]
+        return [([_threshold(decision)], f"bits needed: {needs(decision)}", NO_ENDS)]
     names = (short(decision.pair.a, 10), short(decision.pair.b, 10))
     head = ["this", "next"][:count] if count > 1 else ["bits"]
-    out = ["", _row(head, "for (+) and against it (-)", width, names)]
+    out: list[_Line] = [([], "", NO_ENDS), (head, "for (+) and against it (-)", names)]
     for row in rows(decision, links):
         cells = ["" if bits is None else f"{bits:+z.{digits}f}" for bits in row.bits]
         text = row.text
         if row.level:  # a part of the sum above: its bits stand out of the column that adds up
             text, cells = f"{cells[0]:>7}  {text}", [""]
         cells += [""] * (count - len(cells))
-        out.append(_row(cells, text, width, (row.a, row.b)))
+        out.append((cells, text, (row.a, row.b)))
     sums = [f"= {shown_bits(p.alignment.evidence_bits, digits)}" for p in decision.placements]
-    out.append(_row(sums, sum_label(decision), width))
+    out.append((sums, sum_label(decision), NO_ENDS))
     blank = [""] * (count - 1)
     need = wrap(f"needed: {needs(decision)}", width - 8 * count - 2, subsequent_indent="  ")
-    out.append(_row([_threshold(decision), *blank], need[0], width))
-    return [*out, *(_row([""] * count, line, width) for line in need[1:])]
+    out.append(([_threshold(decision), *blank], need[0], NO_ENDS))
+    return [*out, *(([""] * count, line, NO_ENDS) for line in need[1:])]
 
 
-def _row(cells: Sequence[str], text: str, width: int, ends: tuple[str, str] = ("", "")) -> str:
-    """A line of the table: numbers, text, and the junctions of both runs on the right."""
+def _line(
+    cells: Sequence[str], text: str, ends: tuple[str, str], width: int, *, whole: bool
+) -> str:
+    """A line of the table with the junctions on the right."""
     left = "".join(f"{cell:>8}" for cell in cells) + "  "
     right = f" {ends[0]:>10} {ends[1]:>10}" if any(ends) else ""
     room = width - len(left) - len(right)
-    text = text if len(text) <= room else f"{text[: room - 1]}…"
+    text = text if whole or len(text) <= room else f"{text[: room - 1]}…"
     return f"{left}{text:<{room}}{right}".rstrip()
