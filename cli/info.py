@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from ..ingest.inspection import as_read
+from ..ingest.logs.topics import JUNCTIONS
 from ..ingest.mapping import require_junctions
 from ..ingest.reading import LogInfo, ReadSettings, inspect_log, log_size, read_log
 from ..ingest.remote.path import LogPath
@@ -29,6 +30,9 @@ from .run_logs import run_names
 
 WHOLE_BYTES = 64_000_000
 """Logs up to this size are read whole, without their scans: a fraction of a second."""
+
+SCANS = {*JUNCTIONS["scan"].types, *JUNCTIONS["cloud"].types}
+"""Types of topics of lasers and clouds."""
 
 
 @verb
@@ -77,6 +81,7 @@ def info(
     for _, error in missing:
         complain(str(error))
     failed, told = bool(missing), []
+    usable = scanned = 0
     for each, run in run_names(known).items():
         try:
             found = replace(inspect_log(each, settings), name=run)
@@ -94,8 +99,13 @@ def info(
             for line in [*_described(found), *_faults(found, tried=how is not None)]:
                 say(line)
         failed |= bool(found.problems)
+        usable += found.usable
+        scanned += found.usable and any(t.messages and t.type_name in SCANS for t in found.topics)
     if as_json:
         say_json(told)
+    elif len(known) + len(missing) > 1:
+        logs_of = counted(len(known) + len(missing), "log")
+        say(f"{logs_of}: {usable} usable, {scanned} of them with a laser or clouds")
     if failed:
         raise typer.Exit(1)
 

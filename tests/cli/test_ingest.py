@@ -297,6 +297,7 @@ def test_info_on_a_folder_tells_of_every_log(topobatch, logs, tmp_path):
     done = topobatch("info", tmp_path)
     assert done.code == 1
     assert ("run mcap" in done.out, "run other" in done.out) == (True, True)
+    assert done.out.endswith("3 logs: 2 usable, 0 of them with a laser or clouds\n")
     assert "broken.mcap" in done.err
 
 
