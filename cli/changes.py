@@ -12,7 +12,7 @@ from ..merge.result import Component, MergeResult
 from ..topology.wording import counted
 from ..viz.parts import in_order
 from .draw import picture_form, quiet_fonts, walled
-from .options import ComponentOption, HereWithMerge, JsonOption, argument, option, verb
+from .options import ComponentOption, HereWithMerge, JsonOption, ThemeOption, argument, option, verb
 from .output import say, say_folded, say_json, write_files
 from .workspace import Workspace
 
@@ -30,6 +30,7 @@ def changes(
     output: Annotated[
         Path | None, option("--output -o FILE", "Also draw them there (.svg, .png).")
     ] = None,
+    theme: ThemeOption = "light",
     *,
     place: HereWithMerge,
     as_json: JsonOption = False,
@@ -58,7 +59,7 @@ def changes(
     told = numbered(c for c in found if everything or c.sure)
     shown = [change for _, change in told]
     if output is not None and form is not None:
-        write_files({output: _drawn(place, result, several, shown).as_bytes(form)})
+        write_files({output: _drawn(place, result, several, shown, theme).as_bytes(form)})
     if as_json:
         sites = {c.id: c.site or None for c in result.components}
         say_json([change_to_document(c) | {"site": sites[c.component]} for c in shown])
@@ -87,15 +88,19 @@ def changes(
 
 
 def _drawn(
-    place: Workspace, result: MergeResult, sites: Sequence[Component], shown: Sequence[Change]
+    place: Workspace,
+    result: MergeResult,
+    sites: Sequence[Component],
+    shown: Sequence[Change],
+    theme: str,
 ) -> Canvas:
     """The maps of the sites in which something changed, of all if nothing did."""
     from ..viz.draw import draw_merged
-    from ..viz.palette import LIGHT
+    from ..viz.palette import THEMES
 
     quiet_fonts()
     changed = {c.component for c in shown}
     drawn = [c for c in sites if c.id in changed or not changed] or result.components
     return draw_merged(
-        result, LIGHT, sites=[c.id for c in drawn], maps=walled(place, drawn), changes=shown
+        result, THEMES[theme], sites=[c.id for c in drawn], maps=walled(place, drawn), changes=shown
     )

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from ..merge.result import Component
 from ..topology.errors import UsageError
 from ..topology.topomap import TopoMap
-from .options import Here, argument, complete_run, option, verb
+from .options import Here, ThemeOption, argument, complete_run, verb
 from .output import checked_output, say, write_files
 from .workspace import Workspace
 
@@ -32,9 +32,7 @@ def draw(
     ],
     out: Annotated[Path, argument("OUT.svg|OUT.png", "The picture to write.")],
     place: Here,
-    theme: Annotated[
-        Literal["light", "dark"], option("--theme", "For light paper or a dark screen.")
-    ] = "light",
+    theme: ThemeOption = "light",
 ) -> None:
     """Draw a map, the merged map, or the decision on a pair of runs.
 
@@ -56,11 +54,11 @@ def draw(
       topobatch draw north north.svg
       topobatch draw run1:run2 why.svg
     """
-    from ..viz.palette import DARK, LIGHT
+    from ..viz.palette import THEMES
 
     form = picture_form(out)
     quiet_fonts()
-    canvas = _drawn(place, what, DARK if theme == "dark" else LIGHT)
+    canvas = _drawn(place, what, THEMES[theme])
     write_files({out: canvas.as_bytes(form)})
     say(f"{out}")
 

@@ -293,10 +293,10 @@ def draw(
     '<?xml'
     """
     from ..viz import draw as drawings  # which loads matplotlib
-    from ..viz.palette import DARK, LIGHT
+    from ..viz.palette import THEMES
 
     quiet_fonts()
-    colours = DARK if theme == "dark" else LIGHT
+    colours = THEMES[theme]
     if isinstance(graph, MergeResult):
         canvas = drawings.draw_merged(graph, colours, maps={m.run: m for m in maps})
     else:

@@ -13,7 +13,7 @@ from ..topology.errors import UsageError
 from ..topology.wording import counted, listed
 from ..viz.exports.drives import drives_csv, drives_geojson
 from .draw import quiet_fonts, walled
-from .options import HereWithMerge, JsonOption, argument, option, verb
+from .options import HereWithMerge, JsonOption, ThemeOption, argument, option, verb
 from .output import checked_output, folded, say, say_folded, say_json, write_files
 from .workspace import Workspace
 
@@ -38,6 +38,7 @@ def next_drives(
             ".geojson); may be given several times.",
         ),
     ] = None,
+    theme: ThemeOption = "light",
     *,
     place: HereWithMerge,
     as_json: JsonOption = False,
@@ -67,7 +68,8 @@ def next_drives(
     found = drives(result, most, None if site is None else names[site])
     shown = {*names} if site is None else {site}
     left = [] if found else [b for b in never_driven(result) if b.site in shown]
-    write_files({path: _plan(path, found, left, result, shown, place) for path in output or ()})
+    plans = {p: _plan(p, found, left, result, shown, place, theme) for p in output or ()}
+    write_files(plans)
     if as_json:
         say_json([*map(drive_to_document, found), *map(undriven_to_document, left)])
         return
@@ -148,6 +150,7 @@ def _plan(
     result: MergeResult,
     shown: Collection[str],
     place: Workspace,
+    theme: str,
 ) -> str | bytes:
     """The contents of a file of the plan. A picture without drives shows the branches that nobody
     drove."""
@@ -156,11 +159,11 @@ def _plan(
         return drives_csv(found) if suffix == PLANS[0] else drives_geojson(found, left)
     quiet_fonts()
     from ..viz.draw import draw_merged
-    from ..viz.palette import LIGHT
+    from ..viz.palette import THEMES
 
     begin = {d.component for d in found}
     sites = [c for c in result.components if (c.id in begin if found else c.name in shown)]
     canvas = draw_merged(
-        result, LIGHT, sites=[c.id for c in sites], maps=walled(place, sites), drives=found
+        result, THEMES[theme], sites=[c.id for c in sites], maps=walled(place, sites), drives=found
     )
     return canvas.as_bytes("svg" if suffix == PICTURES[0] else "png")

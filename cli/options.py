@@ -151,6 +151,11 @@ FalseMergeRate = Annotated[
 
 JsonOption = Annotated[bool, option("--json", "Print JSON.")]
 
+ThemeOption = Annotated[
+    Literal["light", "dark"], option("--theme", "For light paper or a dark screen.")
+]
+"""Of commands that draw."""
+
 VerboseOption = Annotated[bool, option("--verbose -v", "Print what is being done.")]
 
 

@@ -157,3 +157,6 @@ DARK = Theme(
         *(_hex((3 * part + 255) // 4 for part in rgb(light)) for light in _MORE.split()),
     ],
 )
+
+THEMES = {"light": LIGHT, "dark": DARK}
+"""The themes by the names that commands have for them."""

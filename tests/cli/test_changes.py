@@ -58,6 +58,9 @@ def test_changes_are_drawn_with_the_numbers_of_their_list(topobatch, place, tmp_
     assert "gone, with its number in the list" in svg
     assert "1. " in shown.out
     assert "gone: corridor of" in " ".join(re.findall(r">([^<>]*)</text>", svg))
+    dark = tmp_path / "dark.svg"
+    assert topobatch("changes", "-o", dark, "--theme", "dark", "-w", place.root).code == 0
+    assert "#0f1115" in dark.read_text()
     assert "ends in .svg or .png" in topobatch("changes", "-o", "a.txt", "-w", place.root).error(2)
 
 

@@ -90,6 +90,8 @@ def test_where_no_drive_is_worth_it(merged_once, topobatch, tmp_path) -> None:
     assert [f["geometry"]["coordinates"] for f in features] == [[b["x"], b["y"]] for b in told]
     assert f"{csv_}  (no waypoints, as no drive is proposed)" in shown.out
     assert ": no drive is proposed" in plan.read_text()
+    assert topobatch("next", "-o", plan, "--theme", "dark", "-w", merged_once).code == 0
+    assert "#0f1115" in plan.read_text()
     assert shown.out.startswith("there is one site: nothing is left to join")
     assert "branches that nobody drove" in shown.out
     assert "branch never driven" in plan.read_text()
