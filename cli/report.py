@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from importlib.metadata import version
 from itertools import chain
 from pathlib import Path
@@ -78,7 +79,13 @@ def report(
         notes += [f"Merge again: {told_changed(new)}"] if new else []
         # What is worked out again from the maps that were merged.
         document = place.read_merged() if result is not None and not notes else None
+        home = {c.id: c.name for c in result.components} if result else {}
         decisions = _decisions(place, result, document, maps, advance) if result else {}
+        changed = _changes(result, maps) if result and document else []
+        for pair, one in decisions.items():
+            between = [told for told in changed if told.sure and told.differs_for(*pair)]
+            words = [told.words(home[told.component])[0] for told in between]
+            decisions[pair] = replace(one, notes=(*one.notes, *words))
         advance(0, doing="drawing the page")
         found = drives(result, MOST_DRIVES) if result else ()
         sites = {c.name for c in result.components if len(c.poses) > 1} if result else set()
@@ -96,7 +103,7 @@ def report(
                 ],
                 found,
                 lines,
-                _changes(result, maps) if result and document else (),
+                changed,
                 decisions=decisions,
                 where=place.where,
                 as_merged=document is not None,

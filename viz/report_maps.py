@@ -233,7 +233,8 @@ class _Site:
             self._dots(at, [tips[k] for k in places], ink, "changes", 16.0, ring=True)
             numbers = [f"{k}" for k, c in told if c.kind is kind]
             at = np.array([c.xy for c in some])
-            self._words(at, numbers, ink, "changes", (8, -12), text_font_style="bold")
+            look = {"text_font_style": "bold", "level": "annotation"}  # above the junctions
+            self._words(at, numbers, ink, "changes", (8, -12), **look)
 
     def drives(self, found: Sequence[tuple[int, Drive]]) -> None:
         """What to record next: the way, and a ring where it begins."""
