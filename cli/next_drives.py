@@ -6,7 +6,7 @@ from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Annotated
 
-from ..merge.drive import Drive, Undriven, drive_to_document, undriven_to_document
+from ..merge.drive import Drive, Undriven, drive_to_document
 from ..merge.drives import drives, never_driven
 from ..merge.result import MergeResult, Standing
 from ..topology.errors import UsageError
@@ -50,7 +50,7 @@ def next_drives(
     places of both, as the pair's best placement has them. Where no pair is open, a drive leads into
     the unknown, by a branch that nobody drove. Drives are ranked by the evidence that they are
     expected to bring, in bits for each metre; below one bit none is proposed. Then a line says so,
-    and the branches that nobody drove are listed, also in --json and GeoJSON (kind "undriven").
+    and the branches that nobody drove are listed, also in GeoJSON (kind "undriven").
     Junctions have the numbers of merged.json, which the picture shows; SITE:9 is junction 9 of
     another site. After the drive: ingest its log, and merge again.
 
@@ -71,7 +71,7 @@ def next_drives(
     plans = {p: _plan(p, found, left, result, shown, place, theme) for p in output or ()}
     write_files(plans)
     if as_json:
-        say_json([*map(drive_to_document, found), *map(undriven_to_document, left)])
+        say_json([drive_to_document(d) for d in found])
         return
     if not found:
         for line in nothing_worth(result, shown, place):

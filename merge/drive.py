@@ -121,21 +121,6 @@ class Undriven:
     heading_rad: where the branch leads; both in the frame of the site."""
 
     site: str
-    component: int
     junction: int
     xy: FloatArray
     heading_rad: float
-
-
-def undriven_to_document(branch: Undriven) -> dict[str, Any]:
-    """A branch that nobody drove as JSON values, told from drives by its kind."""
-    x, y = rounded(branch.xy, METRES)
-    return {
-        "kind": "undriven",
-        "site": branch.site,
-        "component": branch.component,
-        "junction": branch.junction,
-        "x": x,
-        "y": y,
-        "heading": round(branch.heading_rad, 4),
-    }

@@ -94,7 +94,7 @@ def never_driven(result: MergeResult) -> list[Undriven]:
     fused, names = result.fused, {c.id: c.name for c in result.components}
     free = ~driven_branches(fused) & ~fused.is_turned[fused.branches.owner]
     return [
-        Undriven(names[int(fused.component[v])], int(fused.component[v]), v, xy, heading)
+        Undriven(names[int(fused.component[v])], v, xy, heading)
         for v, xy, heading in zip(
             fused.branches.owner[free].tolist(),
             fused.xy[fused.branches.owner[free]],

@@ -82,12 +82,10 @@ def test_of_many_junctions_a_plan_numbers_those_that_it_speaks_of(
 def test_where_no_drive_is_worth_it(merged_once, topobatch, tmp_path) -> None:
     plan, csv_, ways = (tmp_path / f"plan.{ending}" for ending in ("svg", "csv", "geojson"))
     shown = topobatch("next", "-o", plan, "-o", csv_, "-o", ways, "-w", merged_once)
-    told = json.loads(topobatch("next", "--json", "-w", merged_once).out)
-    assert {branch["kind"] for branch in told} == {"undriven"}
-    assert all(f"{branch['junction']}" in shown.out for branch in told)
+    assert json.loads(topobatch("next", "--json", "-w", merged_once).out) == []
     features = json.loads(ways.read_text())["features"]
-    assert [f["properties"]["junction"] for f in features] == [b["junction"] for b in told]
-    assert [f["geometry"]["coordinates"] for f in features] == [[b["x"], b["y"]] for b in told]
+    assert {f["properties"]["kind"] for f in features} == {"undriven"}
+    assert all(f"{f['properties']['junction']}" in shown.out for f in features)
     assert f"{csv_}  (no waypoints, as no drive is proposed)" in shown.out
     assert ": no drive is proposed" in plan.read_text()
     assert topobatch("next", "-o", plan, "--theme", "dark", "-w", merged_once).code == 0

@@ -7,7 +7,8 @@ import io
 import json
 from collections.abc import Sequence
 
-from ...merge.drive import Drive, Undriven, drive_to_document, undriven_to_document
+from ...merge.drive import Drive, Undriven, drive_to_document
+from ...topology.digits import METRES, rounded
 from .nav2 import feature
 
 
@@ -40,8 +41,9 @@ def drives_geojson(drives: Sequence[Drive], undriven: Sequence[Undriven] = ()) -
             at = [stop.pop("x"), stop.pop("y")]
             features.append(feature("Point", at, about | {"stop": i} | stop))
     for branch in undriven:
-        about = undriven_to_document(branch)
-        at = [about.pop("x"), about.pop("y")]
-        features.append(feature("Point", at, {"frame": branch.site} | about))
+        about = {"frame": branch.site, "kind": "undriven", "junction": branch.junction}
+        at = rounded(branch.xy, METRES)
+        heading = round(branch.heading_rad, 4)
+        features.append(feature("Point", at, about | {"heading": heading}))
     document = {"type": "FeatureCollection", "name": "drives", "features": features}
     return json.dumps(document, ensure_ascii=False, allow_nan=False) + "\n"
