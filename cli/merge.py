@@ -12,7 +12,7 @@ import typer
 from ..merge.decision_text import weakest_links
 from ..merge.document import read_merged
 from ..merge.merged_schema import MergedDocument
-from ..merge.result import MergeResult, PairVerdict, Standing
+from ..merge.result import MergeResult, PairVerdict, Standing, home_of
 from ..merge.wording import describe_bits
 from ..topology.errors import DataError, DocumentError, UsageError
 from ..topology.wording import counted, listed
@@ -255,7 +255,7 @@ def _show_sites(result: MergeResult, place: Workspace) -> None:
     """Print a line for each site of several runs, the largest first, and one for runs that stand
     alone."""
     sites = sorted((c for c in result.components if len(c.poses) > 1), key=lambda c: -len(c.poses))
-    home = {run: c.id for c in sites[:MOST_SITES] for run in c.poses}
+    home = home_of(sites[:MOST_SITES])
     weakest = weakest_links(result.verdicts, home)
     for site in sites[:MOST_SITES]:
         names = listed(sorted(site.poses), MOST_RUNS)

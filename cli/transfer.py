@@ -18,7 +18,7 @@ import numpy as np
 import typer
 
 from ..merge.component_map import component_map
-from ..merge.result import MergeResult
+from ..merge.result import MergeResult, home_of
 from ..merge.transfer import (
     WITHIN_SIGMAS,
     MatchedJunctions,
@@ -140,7 +140,7 @@ def _matched(place: Workspace, source: str, target: str) -> tuple[MatchedJunctio
     if source == target:
         raise UsageError(f"the places are in {source} already")
     result = place.read_result()
-    home = {run: c.id for c in result.components for run in c.poses}
+    home = home_of(result.components)
     names = {run: c.name for c in result.components for run in c.poses}
     to_site = target not in home and target in (MERGED, place.merge, *names.values())
     named = [source] if to_site else [source, target]

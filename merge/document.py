@@ -25,6 +25,7 @@ from .result import (
     PairVerdict,
     Verdict,
     by_run,
+    home_of,
 )
 
 S = TypeVar("S")
@@ -222,7 +223,7 @@ def result_from_document(document: MergedDocument) -> MergeResult:
 
 def _check_components(components: Sequence[Component], fused: FusedMap) -> None:
     """ValueError if what is fused is not of one component alone, or of one that is not there."""
-    home = {run: c.id for c in components for run in c.poses}
+    home = home_of(components)
     strange = sorted(set(fused.component.tolist()) - {c.id for c in components})
     if strange:
         raise ValueError(f"there is no component {strange[0]}")

@@ -31,7 +31,16 @@ from ..topology.digits import METRES, rounded
 from ..topology.driven_branches import driven_branches
 from ..topology.se2 import apply, compose, inverse, wrap
 from .drive import Drive, Stop, Undriven
-from .result import Component, FusedMap, MergeResult, PairVerdict, Verdict, fused_of, pairs_of
+from .result import (
+    Component,
+    FusedMap,
+    MergeResult,
+    PairVerdict,
+    Verdict,
+    fused_of,
+    home_of,
+    pairs_of,
+)
 from .robust.settings import MATCH
 
 
@@ -190,7 +199,7 @@ def _right(pair: PairVerdict) -> float:
 
 def _placed(result: MergeResult) -> dict[int, list[PairVerdict]]:
     """The pairs with a placement of the runs of each component."""
-    home = {run: c.id for c in result.components for run in c.poses}
+    home = home_of(result.components)
     out: dict[int, list[PairVerdict]] = {c.id: [] for c in result.components}
     for pair in result.verdicts:
         if pair.best is not None:
@@ -433,7 +442,7 @@ def _overlapping_share(result: MergeResult) -> float:
     """How likely a branch never driven leads to another site: the share of pairs of runs of two
     sites that are open (Laplace's rule of succession, so that none of few says little); 0 where
     there is no other site."""
-    home = {run: c.id for c in result.components for run in c.poses}
+    home = home_of(result.components)
     open_ = sum(_is_open(p) and home.get(p.a) != home.get(p.b) for p in result.verdicts)
     across = pairs_of(len(home)) - sum(pairs_of(len(c.poses)) for c in result.components)
     return (open_ + 1) / (across + 2) if across else 0.0

@@ -25,6 +25,7 @@ from .result import (
     PairVerdict,
     UnlistedPairs,
     Verdict,
+    home_of,
     pairs_of,
 )
 from .robust import DEFAULT_ROBUST, Means, RobustSettings
@@ -154,7 +155,7 @@ def _unlisted(
     """Counts of the pairs of a large merge that are not listed."""
     if pairs_of(runs) <= MOST_PAIRS:
         return None
-    home = {run: c.id for c in components for run in c.poses}
+    home = home_of(components)
     joined = sum(pairs_of(len(c.poses)) for c in components)
     joined -= sum(home[v.a] == home[v.b] for v in shown)
     apart = [v for v in verdicts if home[v.a] != home[v.b]]
@@ -208,7 +209,7 @@ def _info(
 ) -> dict[str, Any]:
     """The method, its settings, the layers (§4.1) around the first run of every component, and
     warnings."""
-    home = {run: c.id for c in components for run in c.poses}
+    home = home_of(components)
     inside: dict[int, list[PairVerdict]] = {}
     for v in verdicts:
         if v.accepted:

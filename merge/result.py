@@ -313,6 +313,11 @@ MOST_PAIRS = 5000
 evidence are listed: 100 runs take some seconds without."""
 
 
+def home_of(components: Iterable[Component]) -> dict[str, int]:
+    """The component of every run, by its number."""
+    return {run: c.id for c in components for run in c.poses}
+
+
 def pairs_of(runs: int) -> int:
     """Number of pairs of so many runs."""
     return runs * (runs - 1) // 2

@@ -24,7 +24,7 @@ from ..merge.change import Change, numbered
 from ..merge.decision import Decision
 from ..merge.decision_text import weakest_links
 from ..merge.drive import Drive
-from ..merge.result import Component, MergeResult, Standing, of_sites, shown_bits
+from ..merge.result import Component, MergeResult, Standing, home_of, of_sites, shown_bits
 from ..topology.arrays import FloatArray, IntArray
 from ..topology.made_from import describe_junctions
 from ..topology.topomap import TopoMap
@@ -211,7 +211,7 @@ def _sites(report: Report) -> list[dict[str, Any]]:
         return []
     rank = ranks(result)
     begins = {d.component for d in report.drives}
-    weakest = weakest_links(result.verdicts, {r: c.id for c in result.components for r in c.poses})
+    weakest = weakest_links(result.verdicts, home_of(result.components))
     several, alone = _groups(result)
     shown = [*several, *(c for c in alone if c.id in begins or len(result.components) == 1)]
     largest = sorted(shown, key=lambda c: -len(c.poses))[:MOST_MAPS]

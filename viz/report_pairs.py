@@ -12,7 +12,7 @@ from bokeh.models import ColumnDataSource, FixedTicker, LinearColorMapper
 
 from ..merge.decision import LINKS, Decision, Placement
 from ..merge.decision_text import advice, because, digits_of, itemised, needs, rows, short
-from ..merge.result import Alignment, MergeResult, PairVerdict, Standing, shown_bits
+from ..merge.result import Alignment, MergeResult, PairVerdict, Standing, home_of, shown_bits
 from ..topology.topomap import TopoMap
 from ..topology.wording import legible
 from .palette import LIGHT
@@ -126,7 +126,7 @@ def page_data(
     workspace in a call.
     """
     row = {run: k for k, run in enumerate(runs)}
-    home = {run: c.id for c in (result.components if result else ()) for run in c.poses}
+    home = home_of(result.components if result else ())
     reasons: dict[str, int] = {}
     pairs = []
     for p in strongest(result.verdicts if result else ()):

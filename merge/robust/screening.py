@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
@@ -94,13 +95,7 @@ def similarity(views: Sequence[Views]) -> FloatArray:
 def descriptors(views: Views) -> NDArray[np.float32]:
     """(n, d) rotation-invariant descriptors of views: magnitudes of the Fourier transforms of
     walls and free space on rings around the place."""
-    axis = (np.arange(SIDE) + 0.5) * CELL_M - REACH_M
-    ring = np.floor(np.hypot(axis[:, None], axis) / REACH_M * RINGS)
-    sector = np.floor((np.arctan2(axis[:, None], axis) / (2 * np.pi) % 1) * SECTORS)
-    cell, bin_of = np.flatnonzero(DISC), (ring * SECTORS + sector)[DISC].astype(np.int64)
-    shape = (SIDE * SIDE, RINGS * SECTORS)
-    members = csr_array((np.ones(len(cell), np.float32), (cell, bin_of)), shape)
-    scale = np.sqrt(np.bincount(bin_of, minlength=shape[1]).clip(1))
+    members, scale = _polar_bins()
     parts = []
     for state, harmonics in zip((WALL, FREE), HARMONICS, strict=True):
         marked = (views.cells.reshape(len(views), -1) == state).astype(np.float32)
@@ -108,6 +103,19 @@ def descriptors(views: Views) -> NDArray[np.float32]:
         waves = np.abs(np.fft.rfft(polar, axis=2)[:, :, :harmonics])
         parts.append(np.sqrt(waves).reshape(len(views), -1))
     return np.concatenate(parts, axis=1).astype(np.float32)
+
+
+@cache
+def _polar_bins() -> tuple[csr_array, FloatArray]:
+    """The bins (RINGS · SECTORS) of each cell of a view, as a sparse matrix, and the square root of
+    the number of cells in each."""
+    axis = (np.arange(SIDE) + 0.5) * CELL_M - REACH_M
+    ring = np.floor(np.hypot(axis[:, None], axis) / REACH_M * RINGS)
+    sector = np.floor((np.arctan2(axis[:, None], axis) / (2 * np.pi) % 1) * SECTORS)
+    cell, bin_of = np.flatnonzero(DISC), (ring * SECTORS + sector)[DISC].astype(np.int64)
+    shape = (SIDE * SIDE, RINGS * SECTORS)
+    members = csr_array((np.ones(len(cell), np.float32), (cell, bin_of)), shape)
+    return members, np.sqrt(np.bincount(bin_of, minlength=shape[1]).clip(1))
 
 
 def likely_pairs(maps: Sequence[Prepared], least_bits: float) -> IntArray:

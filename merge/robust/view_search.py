@@ -129,10 +129,9 @@ class Picture:
         inner = MOST_PIXELS - int(OVERLAP_M / PIXEL_M)
         step = inner * PIXEL_M
         # The middle of a stretch lies up to half of its length beside the walls of this map.
-        around = np.add.outer([-1, 0, 1], np.multiply([-1, 0, 1], 1j)).ravel() * STRETCH_M / 2
-        position = ((walls[:, None] - low + around) / step).ravel()
-        cells = np.column_stack([np.floor(position.real), np.floor(position.imag)])
-        middles = low + (np.unique(cells, axis=0) @ [1, 1j] + 0.5 + 0.5j) * step
+        aside = np.add.outer([-1, 0, 1], np.multiply([-1, 0, 1], 1j)).ravel() * STRETCH_M / 2
+        cells = [_whole_numbers((walls - low + offset) / step) for offset in aside]
+        middles = low + (np.unique(np.concatenate(cells)) + 0.5 + 0.5j) * step
         return [Square(z, MOST_PIXELS, inner) for z in middles * np.exp(-1j * self.rotation)]
 
     @property
@@ -351,6 +350,11 @@ def _peaks(score: NDArray[np.float32]) -> Iterator[tuple[int, int, float]]:
         y, x = divmod(int(score.argmax()), size)
         yield y, x, float(score[y, x])
         score[np.ix_((y + around) % size, (x + around) % size)] = -np.inf
+
+
+def _whole_numbers(z: ComplexArray) -> ComplexArray:
+    """The different values of z, rounded down."""
+    return np.unique(np.floor(z.real) + 1j * np.floor(z.imag))
 
 
 def _signed(pixel: IntArray, size: int) -> IntArray:

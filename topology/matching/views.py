@@ -103,13 +103,11 @@ class ViewIndex:
         coarse = SIDE // 2
         fit_coarse = np.zeros((n, coarse, coarse), np.float32)
         for k, cells in enumerate(views.cells):
-            if k % _NORMALS_AT_ONCE == 0:
-                normals = _normals(views.cells[k : k + _NORMALS_AT_ONCE] == WALL)
             row, column = np.nonzero(cells == WALL)
             points[k, : len(row)] = _metres(column, CELL_M) + 1j * _metres(row, CELL_M)
             if not len(row):
                 continue
-            normal[k, : len(row)] = normals[k % _NORMALS_AT_ONCE, row, column]
+            normal[k, : len(row)] = _normals(cells == WALL)[row, column]
             fine_cells = cells.repeat(2, axis=0).repeat(2, axis=1)
             is_free, is_wall = fine_cells == FREE, fine_cells == WALL
             distance_m, (y, x) = ndimage.distance_transform_edt(~is_wall, return_indices=True)
@@ -160,18 +158,14 @@ def _cell_centres() -> NDArray[np.complex64]:
 _CELL_CENTRES = _cell_centres()
 
 
-_NORMALS_AT_ONCE = 32
-"""Views whose normals are worked out together: .5 MB each."""
-
-
 def _normals(wall: NDArray[np.bool_]) -> ComplexArray:
-    """(n, s, s) squared direction across the walls of each view at each cell, with the straightness
-    of the wall as its absolute value, 0 to 1: structure tensor (Förstner, Gülch 1987)."""
-    soft = ndimage.gaussian_filter(wall.astype(np.float64), (0.0, 1.0, 1.0))
-    dy, dx = np.gradient(soft, axis=(1, 2))
+    """(s, s) squared direction across the walls of a view at each cell, with the straightness of
+    the wall as its absolute value, 0 to 1: structure tensor (Förstner, Gülch 1987)."""
+    soft = ndimage.gaussian_filter(wall.astype(np.float64), 1.0)
+    dy, dx = np.gradient(soft)
     double = (dx + 1j * dy) ** 2
     parts = (double.real, double.imag, np.abs(double))
-    real, imag, total = (ndimage.gaussian_filter(part, (0.0, 1.5, 1.5)) for part in parts)
+    real, imag, total = (ndimage.gaussian_filter(part, 1.5) for part in parts)
     return np.asarray((real + 1j * imag) / np.maximum(total, 1e-12))
 
 
