@@ -36,6 +36,9 @@ TURNS = np.linspace(-SLACK_RAD, SLACK_RAD, 5)
 CELL_M = 8.0
 """Side of the parts of an overlap, each of which counts once. Of places that agree by one false
 seed, 6 to 43 % of others within this distance exceed the null's 99 %, 0 to 28 % beyond."""
+PLACE_M = CELL_M / 2
+"""Side of the squares by whose number the mean z of false placements falls: of 9,000 of them those
+of one part with pairs in two, three and four squares have tails as those of as many parts."""
 SEARCH_PAIRS, JUDGE_PAIRS = 6, 24
 """Pairs of views that are registered to find the best placements, and to judge one."""
 LEAST_Z = 1.5
@@ -168,6 +171,11 @@ class Overlap:
         """(k,) part of the overlap that each pair is in."""
         square = np.floor(self.predicted[:, :2] / CELL_M).astype(np.int64)
         return np.unique(square, axis=0, return_inverse=True)[1].reshape(-1)
+
+    @cached_property
+    def places(self) -> int:
+        """Number of squares of `PLACE_M` with pairs."""
+        return len(np.unique(np.floor(self.predicted[:, :2] / PLACE_M), axis=0))
 
     @cached_property
     def part_z(self) -> FloatArray:
@@ -310,9 +318,9 @@ def view_evidence(
     true = _true_level(revisit_z)
     part_z = overlap.informative_part_z
     mean = float(part_z.mean())
-    total = _chance_bits(mean, len(part_z), null, true)
+    total = _chance_bits(mean, overlap, null, true)
     # Every part contributes its share, more or less as its z lies above or below the mean.
-    slope = (_chance_bits(mean + SLOPE_Z, len(part_z), null, true) - total) / SLOPE_Z
+    slope = (_chance_bits(mean + SLOPE_Z, overlap, null, true) - total) / SLOPE_Z
     bits = (total + slope * (part_z - mean)) / len(part_z)
     in_copies = [repeats.consistent_parts for repeats in repeats_of_both]
     in_copies += [other.consistent_parts for other in others]
@@ -367,15 +375,14 @@ TRUE_LATER = Level(TRUE.mean, 0.6)
 """Upper bound of the mean z of true placements, against chance: recordings of different days agree
 less than revisits of one run. Held to the run's own revisits, simulated runs in two real offices,
 furnished anew for each of them, lost 7 to 10 bits a pair."""
-TAIL_Z, TAIL_LESS, LEAST_TAIL_Z = 2.7, 0.15, 2.3
+TAIL_Z, TAIL_LESS, LEAST_TAIL_Z = 2.7, 0.15, 2.0
 RATE, RATE_MORE = 3.0, 0.7
 MOST_PARTS = 8
 """The tail of the mean z of false placements of different buildings. A tenth lies above 2.7 with
-one part, less with more; from there on the density falls by exp(-3 z) with one part, faster with
-more, up to MOST_PARTS. From 2,783 placements of 924 pairs of maps (four buildings recorded with a
-laser, two simulated in saved maps, three of saved maps, offices, tunnels). Of 1,784 pairs of
-different buildings .8 % exceed 4 bits by it, .4 % 6, .2 % 8 (6, 1.6 and .4 % may); of placements
-with five witnesses none exceeds 0."""
+pairs in one square of `PLACE_M`, less with more; from there on the density falls by exp(-3 z) with
+one, faster with more, up to MOST_PARTS. From 9,000 placements of 1,360 pairs of maps (four
+buildings recorded with a laser, saved maps of three, 40 random homes, runs in drawn floors of ten
+kinds). 2.5 % of the pairs exceed 4 bits by it, .7 % 6, .2 % 8 (6, 1.6 and .4 % may)."""
 CONSISTENT_BITS, CONSISTENT_M = 1.5, 0.2
 """Evidence of a part within the distance of where the others put it: none at twice the distance,
 and as much against the placement from .6 m on. Of 134 true placements the parts are .19 m apart in
@@ -417,20 +424,20 @@ def _true_level(revisit_z: FloatArray) -> Level:
     return Level(float(np.clip(np.median(revisit_z) - BETWEEN_RUNS_Z, *TRUE_Z)), TRUE_OF_RUN)
 
 
-def _chance_bits(mean: float, parts: int, null: Level, true: Level) -> float:
-    """Evidence of the mean z of some parts against a placement of different buildings [bits].
+def _chance_bits(mean: float, overlap: Overlap, null: Level, true: Level) -> float:
+    """Evidence of the mean z of an overlap against a placement of different buildings [bits].
 
     Buildings that repeat themselves resemble others of their kind, and buildings without repeats do
     not: the tail shifts with the level of copies. A low level shifts it only for placements with
     `MATCH.fewest` parts and more, as those that the level is estimated from. With one or two parts
     false placements in halls would reach 8.7 and 13 bits (1,600 pairs of buildings), 6.6 without.
     """
-    further_parts = min(parts, MOST_PARTS) - 1
-    rate = RATE + RATE_MORE * further_parts
-    tail = max(TAIL_Z - TAIL_LESS * further_parts, LEAST_TAIL_Z)
+    further_places = min(overlap.places, MOST_PARTS) - 1
+    rate = RATE + RATE_MORE * further_places
+    tail = max(TAIL_Z - TAIL_LESS * further_places, LEAST_TAIL_Z)
     level = null.mean - null.sigma
     tail += max(level - FALSE.mean, 0.0)
-    if parts >= MATCH.fewest:
+    if len(overlap.part_z) >= MATCH.fewest:
         tail += min(level - FALSE.mean + FALSE.sigma, 0.0)
     later = Level(min(true.mean, TRUE_LATER.mean), TRUE_LATER.sigma)
     chance = float(np.log(0.1 * rate)) - rate * max(mean - tail, 0.0)
