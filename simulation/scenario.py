@@ -73,18 +73,6 @@ class Scenario:
         return Truth(self.worlds, {s.run.name: s.truth for s in self.simulated}, self.changes)
 
 
-def joined(*scenarios: Scenario) -> Scenario:
-    """Several scenarios as one; UsageError if two of their runs or worlds have the same name."""
-    simulated = [s for scenario in scenarios for s in scenario.simulated]
-    worlds = {name: w for scenario in scenarios for name, w in scenario.worlds.items()}
-    if len({s.run.name for s in simulated}) < len(simulated):
-        raise UsageError("two scenarios have runs of the same name: give them another prefix")
-    if len(worlds) < sum(len(scenario.worlds) for scenario in scenarios):
-        raise UsageError("two scenarios have worlds of the same name: give them another prefix")
-    changes = tuple(change for scenario in scenarios for change in scenario.changes)
-    return Scenario(tuple(sorted(simulated, key=lambda s: s.run.name)), worlds, changes)
-
-
 def simulate_scenario(settings: ScenarioSettings | None = None) -> Scenario:
     """The runs that the settings describe; deterministic on any machine.
 
@@ -237,7 +225,6 @@ def simulate_run(
         closed_edges=tuple(sorted(closed)),
         break_ns=tuple(odometry.time_ns[track.breaks].tolist()),
         jump_ns=tuple(odometry.time_ns[track.jumps].tolist()),
-        doors=_shut(seen_by_laser, stamps),
         settings={"seed": seed, **s.recorded()},
     )
     return SimulatedRun(
@@ -248,12 +235,3 @@ def simulate_run(
         stamps(seen_by_laser.time_s if seen_by_laser else np.zeros(0)),
         s.tells_junctions,
     )
-
-
-def _shut(scans: Scans | None, stamps: Any) -> tuple[tuple[int, int, int, int], ...]:
-    """Corridor, vertex, from and to [ns] of every interval in which a door was shut."""
-    if scans is None:
-        return ()
-    doors, which = scans.doors, scans.doors.door
-    columns = (doors.edge[which], doors.vertex[which], stamps(doors.from_s), stamps(doors.to_s))
-    return tuple(zip(*(column.tolist() for column in columns), strict=True))

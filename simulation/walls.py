@@ -84,14 +84,13 @@ def free_space(world: World, corridor_m: float) -> list[FloatArray]:
     return parts
 
 
-def doorways(world: World, corridor_m: float) -> tuple[Segments, IntArray, IntArray]:
-    """Possible doors: a segment across each end of every corridor, with its corridor and its
-    vertex.
+def doorways(world: World, corridor_m: float) -> tuple[Segments, IntArray]:
+    """Possible doors: a segment across each end of every corridor, with its corridor.
 
     A door is placed where the corridor no longer overlaps its neighbours at the junction.
     """
     half = 0.5 * corridor_m
-    a, b, edges, vertices = [], [], [], []
+    a, b, edges = [], [], []
     for edge in range(len(world.source)):
         for vertex in (int(world.source[edge]), int(world.target[edge])):
             if world.branches.counts[vertex] < 2:
@@ -104,9 +103,8 @@ def doorways(world: World, corridor_m: float) -> tuple[Segments, IntArray, IntAr
             a.append(at[0] - half * across)
             b.append(at[0] + half * across)
             edges.append(edge)
-            vertices.append(vertex)
     doors = Segments(np.array(a).reshape(-1, 2), np.array(b).reshape(-1, 2))
-    return doors, np.array(edges, np.int64), np.array(vertices, np.int64)
+    return doors, np.array(edges, np.int64)
 
 
 def _to_neighbour(world: World, edge: int, vertex: int) -> float:
