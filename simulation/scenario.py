@@ -36,6 +36,9 @@ EPOCH_NS = 1_700_000_000 * 10**9
 BETWEEN_RUNS_NS = 7200 * 10**9
 """Time from one run's start to the next one's: two hours."""
 
+ROOM = (1.15, 1.4, 1.8)
+"""Sizes of the worlds that are tried, as multiples of the junctions that the runs visit."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SimulatedRun:
@@ -131,7 +134,7 @@ def _changes(
         starts = [start_ns[k] for k in holders]
         without = gone | {edge}
         if len(starts) > 1 and all(_connected(world, regions[k], without) for k in holders):
-            time_s = chance.one_uniform(min(starts) / 1e9 + 1, max(starts) / 1e9)
+            time_s = chance.one_uniform(min(starts) / 10**9 + 1, max(starts) / 10**9)
             out.append(WorldChange(name, edge, int(time_s) * 10**9, chance.one_happens(0.5)))
             gone = without
     if len(out) < s.changes:
@@ -155,8 +158,8 @@ def _world_with_regions(s: ScenarioSettings) -> tuple[World, list[set[int]]]:
     """A world and the region of each run; larger worlds are tried until the regions fit."""
     size, chance = s.junctions_per_run, Chance("regions", s.seed)
     wanted = size * (1 + (s.runs - 1) * (1 - s.overlap))
-    for room in (1.15, 1.4, 1.8):
-        aspect = max(1.0, 0.8 * wanted / size)
+    aspect = max(1.0, 0.8 * wanted / size)
+    for room in ROOM:
         world = make_world(s.world, round(wanted * room), s.seed, aspect)
         regions = chain_of_regions(world, s.runs, size, s.overlap, chance)
         if len(regions) == s.runs and min(len(r) for r in regions) >= 0.9 * size:
@@ -201,7 +204,7 @@ def simulate_run(
     )
 
     def stamps(time_s: FloatArray) -> Any:
-        return start_ns + np.round(time_s * 1e6).astype(np.int64) * 1000
+        return start_ns + np.round(time_s * 10**6).astype(np.int64) * 1000
 
     odometry = Odometry(time_ns=stamps(track.time_s), pose=track.pose, breaks=track.breaks)
     detections = Detections(stamps(seen.time_s), seen.centre, seen.branches)

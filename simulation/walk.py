@@ -12,7 +12,7 @@ from scipy.cluster.hierarchy import DisjointSet
 from ..topology.se2 import wrap
 from .chance import Chance
 from .settings import Faults, WalkSettings
-from .world import World
+from .world import CLEAR_M, World
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +94,8 @@ def _with_turns_back(world: World, legs: list[Leg], rate: float, chance: Chance)
     for leg, turn, part in zip(legs, turns.tolist(), parts.tolist(), strict=True):
         length = float(world.length[leg.edge])
         if turn and length > 5.0:
-            way = float(np.round(2.4 + part * (length - 4.6), 3))
+            least = 2.4
+            way = float(np.round(least + part * (length - least - CLEAR_M), 3))
             out.append(Leg(leg.edge, leg.source, leg.target, way))
         out.append(leg)
     return out

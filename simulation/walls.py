@@ -10,7 +10,7 @@ from ..topology.arrays import FloatArray, IntArray
 from ..topology.frozen import freeze
 from ..topology.polyline import densely, simplify
 from ..topology.se2 import wrap
-from .world import World, polyline_at
+from .world import COORDINATE_M, ROOM_M, World, polyline_at
 
 ROUND = 12
 """Most corners of a junction's polygon, and those of a round one."""
@@ -18,17 +18,11 @@ ROUND = 12
 BEND_M = 0.02
 """Tolerance to which curved corridors are approximated by straight pieces."""
 
-LARGEST_ROOM_M = 1.5
-"""Half the side of a room at a dead end, at most."""
-
 THINNEST_WALL_M = 0.15
 """Least thickness of a wall between rooms and corridors."""
 
 INSIDE_M = 1e-6
 """Depth within another part of the free space from which an edge is no wall."""
-
-SHORTEST_WALL_M = 1e-3
-"""Shorter walls are dropped; coordinates of worlds are rounded to this."""
 
 DOORWAY_M = 0.25
 """Distance of a door into its corridor from the junction's polygon."""
@@ -158,7 +152,7 @@ def _square(centre: FloatArray, half: float, heading: float) -> FloatArray:
 
 def _at_right_angles(headings: FloatArray) -> bool:
     quarter = np.asarray(wrap(4 * (headings - headings[0])))
-    return bool(np.all(np.abs(quarter) < 4e-3))
+    return bool(np.all(np.abs(quarter) < 4 * COORDINATE_M))
 
 
 def _room_for(world: World, vertex: int, half: float) -> float:
@@ -175,7 +169,7 @@ def _room_for(world: World, vertex: int, half: float) -> float:
     to_corridor = min([*others, own]) - half - THINNEST_WALL_M
     to_room = 0.5 * (float(away.min(initial=np.inf)) - THINNEST_WALL_M)
     # By its corners, which are √2 times as far out as its walls.
-    return min(LARGEST_ROOM_M, float(min(to_corridor, to_room) / np.sqrt(2)))
+    return min(0.5 * ROOM_M, float(min(to_corridor, to_room) / np.sqrt(2)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -216,7 +210,7 @@ def _outside(start: FloatArray, end: FloatArray, inside: _HalfPlanes) -> FloatAr
     hidden = (t0 < t1) & ~(parallel & (depth < 0)).any(axis=1)
     ends = np.array(_left_open(t0[hidden].tolist(), t1[hidden].tolist())).reshape(-1, 2, 1)
     parts: FloatArray = start + ends * (end - start)
-    long = np.hypot(*(parts[:, 1] - parts[:, 0]).T) > SHORTEST_WALL_M
+    long = np.hypot(*(parts[:, 1] - parts[:, 0]).T) > COORDINATE_M
     return np.asarray(parts[long])
 
 

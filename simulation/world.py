@@ -17,8 +17,16 @@ from ..topology.se2 import wrap
 BRANCH_REACH_M = 0.7
 """A branch's heading points to its corridor at this distance."""
 
+CLEAR_M = 2.2
+"""Where a robot turns round, and the detector invents junctions, in a corridor: at least this far
+from its end."""
+
 COORDINATE_DECIMALS = 3
-"""Millimetres, so that worlds are the same on every processor."""
+COORDINATE_M: float = 10**-COORDINATE_DECIMALS
+"""Coordinates are rounded to millimetres, so that worlds are the same on every processor."""
+
+ROOM_M = 3.0
+"""Depth of rooms, and distance between aisles of rows."""
 
 Link = tuple[int, int, FloatArray]
 """Two vertices and the polyline (k, 2) between them, from which worlds are built."""

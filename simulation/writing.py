@@ -88,7 +88,7 @@ def messages_of(simulated: SimulatedRun, ros: str) -> list[Message]:
         out += _logged("/junctions", run.detections.time_ns, seen_late, _detections(run, ros))
     if scans is not None:
         late = Chance("laser latency", len(scans)).uniform(1_000, 9_000, len(scans))
-        swept_us, stamp_ns = round(scans.settings.sweep_s * 1e6), simulated.scans_ns
+        swept_us, stamp_ns = round(scans.settings.sweep_s * 10**6), simulated.scans_ns
         out += _logged("/scan", stamp_ns, swept_us + late, _scans(scans, stamp_ns, ros))
         first_ns = run.odometry.time_ns[:1]
         mount = _mount(run, scans, int(first_ns[0]), ros)
