@@ -172,9 +172,9 @@ def _joined(
     """The pieces one after another, with turns on the spot between them: ways (k,) and poses (k,
     3).
 
-    Within a piece the heading is that of the path; between two it turns, about half a turn either way, while the
-    position moves to the next piece's start, in steps by which a point half a metre from the
-    robot's centre moves STEP_M.
+    Within a piece the heading is that of the path; between two it turns, half a turn either way,
+    while the position moves to the next piece's start, in steps by which a point half a metre from
+    the robot's centre moves STEP_M.
     """
     out_way, out_xy, out_theta = [], [], []
     theta_end: float | None = None

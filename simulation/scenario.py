@@ -228,7 +228,7 @@ def simulate_run(
         closed_edges=tuple(sorted(closed)),
         break_ns=tuple(odometry.time_ns[track.breaks].tolist()),
         jump_ns=tuple(odometry.time_ns[track.jumps].tolist()),
-        settings={"seed": seed, **s.recorded()},
+        settings={**s.recorded(), "seed": seed},
     )
     return SimulatedRun(
         Run(name, odometry, detections),

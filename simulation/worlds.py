@@ -6,7 +6,7 @@ overlapping runs.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 
 import numpy as np
 from scipy.cluster.hierarchy import DisjointSet
@@ -15,10 +15,15 @@ from ..topology.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from ..topology.se2 import wrap
 from .chance import Chance
 from .tiles import tiles_world
-from .world import ROOM_M, Link, World, polyline_heading, straight, without_bends, world_of_links
-
-STRAIGHT_RAD = 0.05
-"""Largest deviation from straight at which a vertex of two corridors is no junction."""
+from .world import (
+    ROOM_M,
+    Link,
+    World,
+    polyline_heading,
+    straight_world,
+    without_bends,
+    world_of_links,
+)
 
 LOOPS = 0.7
 """Share of the possible streets that close a loop that are built, in cities and organic worlds."""
@@ -43,7 +48,7 @@ def maze_world(junctions: int, seed: int, aspect: float = 1.0) -> World:
     x, y, walls = _lattice(junctions / 0.86, aspect, 2, (2.5, STREET_M), chance)
     xy = np.column_stack([np.tile(x, len(y)), np.repeat(y, len(x))])
     opened = _growing_tree(walls, len(xy), chance) | chance.happens(0.25, len(walls))
-    return _straight_world("maze", junctions, seed, xy, walls[opened].tolist())
+    return straight_world(f"maze-{junctions}-{seed}", "maze", xy, walls[opened].tolist())
 
 
 def _lattice(
@@ -92,26 +97,6 @@ def _growing_tree(walls: IntArray, cells: int, chance: Chance) -> BoolArray:
     return opened
 
 
-def _straight_world(
-    kind: str, junctions: int, seed: int, xy: FloatArray, pairs: Iterable[Sequence[int]]
-) -> World:
-    """A world of straight corridors between pairs of points; two in line are joined into one."""
-    links = [straight(xy, u, v) for u, v in pairs]
-    links = without_bends(links, ~_goes_straight(len(xy), links))
-    return world_of_links(f"{kind}-{junctions}-{seed}", kind, xy, links)
-
-
-def _goes_straight(count: int, links: list[Link]) -> BoolArray:
-    """(count,) vertices of exactly two corridors in opposite directions."""
-    leaving: list[list[float]] = [[] for _ in range(count)]
-    for u, v, path in links:
-        leaving[u].append(polyline_heading(path))
-        leaving[v].append(polyline_heading(path[::-1]))
-    return np.array(
-        [len(h) == 2 and abs(wrap(h[0] - h[1] + np.pi)) < STRAIGHT_RAD for h in leaving]
-    )
-
-
 def office_world(junctions: int, seed: int, aspect: float = 1.0) -> World:
     """A building of wings with one floor plan, along a main corridor.
 
@@ -137,7 +122,8 @@ def office_world(junctions: int, seed: int, aspect: float = 1.0) -> World:
             doors = plan ^ chance.happens(1 / 16, plan.size).reshape(plan.shape)
             doors[..., rooms // 2] = False
             building.add_wing(feet, x_main, side, doors)
-    return _straight_world("office", junctions, seed, np.array(building.xy), building.links)
+    name = f"office-{junctions}-{seed}"
+    return straight_world(name, "office", np.array(building.xy), building.links)
 
 
 class _Building:
@@ -195,9 +181,7 @@ def organic_world(junctions: int, seed: int, aspect: float = 1.0) -> World:
     pairs = _thinned(xy, pairs, chance)
     paths = _curved(xy, pairs, chance)
     links = [(u, v, path) for (u, v), path in zip(pairs.tolist(), paths, strict=True)]
-    degree = np.bincount(pairs.ravel(), minlength=len(xy))
-    links = without_bends(links, degree != 2)
-    return world_of_links(f"organic-{junctions}-{seed}", "organic", xy, links)
+    return world_of_links(f"organic-{junctions}-{seed}", "organic", xy, without_bends(links))
 
 
 def city_world(junctions: int, seed: int, aspect: float = 1.0) -> World:
@@ -222,9 +206,7 @@ def city_world(junctions: int, seed: int, aspect: float = 1.0) -> World:
     links: list[Link] = [
         (u, v, bent(z[u] + way * (z[v] - z[u]))) for u, v in streets[built].tolist()
     ]
-    degree = np.bincount(streets[built].ravel(), minlength=len(z))
-    links = without_bends(links, degree != 2)
-    return world_of_links(f"city-{junctions}-{seed}", "city", bent(z), links)
+    return world_of_links(f"city-{junctions}-{seed}", "city", bent(z), without_bends(links))
 
 
 def rows_world(junctions: int, seed: int, aspect: float = 1.0) -> World:
@@ -242,7 +224,7 @@ def rows_world(junctions: int, seed: int, aspect: float = 1.0) -> World:
     across, along = _neighbours(aisles, ways)
     open_to_drive = ~chance.happens(1 / 25, len(along))
     pairs = np.concatenate([across, along[open_to_drive]])
-    return _straight_world("rows", junctions, seed, xy, pairs.tolist())
+    return straight_world(f"rows-{junctions}-{seed}", "rows", xy, pairs.tolist())
 
 
 def _scattered(count: int, aspect: float, chance: Chance) -> FloatArray:
