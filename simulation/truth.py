@@ -47,9 +47,6 @@ TRUTH_SCHEMA = "topobatch.truth/1"
 MIXED = -2
 """Vertex of a map's node with passes of several vertices."""
 
-PASS_TOLERANCE_NS = 1_000_000_000
-"""An observation within this time of a pass belongs to it."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunTruth:
@@ -119,8 +116,7 @@ class Truth:
 def true_vertex_of_passes(truth: Truth, run: str, time_ns: Any) -> IntArray:
     """(k,) the world vertex that the run was passing at each time, NO_VERTEX for none.
 
-    A time belongs to the nearest detected pass within PASS_TOLERANCE_NS. Times are stamps by the
-    detector's clock. O((k + p) log p).
+    Only detected passes count. Times are stamps by the detector's clock. O((k + p) log p).
     """
     of_run = truth.runs[run]
     seen = np.flatnonzero(of_run.messages > 0)
@@ -128,17 +124,9 @@ def true_vertex_of_passes(truth: Truth, run: str, time_ns: Any) -> IntArray:
     if len(seen) == 0:
         return np.full(len(query), NO_VERTEX, np.int64)
     start, end = of_run.start_ns[seen], of_run.end_ns[seen]
-    after = np.searchsorted(start, query, side="right")
-    before = np.clip(after - 1, 0, len(seen) - 1)
-    after = np.clip(after, 0, len(seen) - 1)
-
-    def away(i: IntArray) -> IntArray:
-        outside: IntArray = np.maximum(np.maximum(start[i] - query, query - end[i]), 0)
-        return outside
-
-    nearest = np.where(away(before) <= away(after), before, after)
-    vertex = of_run.vertex[seen[nearest]]
-    return np.where(away(nearest) <= PASS_TOLERANCE_NS, vertex, NO_VERTEX)
+    last = np.maximum(np.searchsorted(start, query, side="right") - 1, 0)
+    within = (start[last] <= query) & (query <= end[last])
+    return np.where(within, of_run.vertex[seen[last]], NO_VERTEX)
 
 
 def true_vertex_of_nodes(truth: Truth, topomap: TopoMap) -> IntArray:

@@ -21,9 +21,6 @@ BEND_M = 0.02
 THINNEST_WALL_M = 0.15
 """Least thickness of a wall between rooms and corridors."""
 
-INSIDE_M = 1e-6
-"""Depth within another part of the free space from which an edge is no wall."""
-
 DOORWAY_M = 0.25
 """Distance of a door into its corridor from the junction's polygon."""
 
@@ -176,7 +173,8 @@ def _room_for(world: World, vertex: int, half: float) -> float:
 class _HalfPlanes:
     """Convex polygons as outward normals (p, ROUND, 2) and offsets (p, ROUND), with bounding boxes.
 
-    A point is inside if n·x ≤ c for all sides; missing sides are 0·x ≤ 1.
+    A point is inside if n·x ≤ c for all sides; missing sides are 0·x ≤ 1. The outline itself is not
+    inside.
     """
 
     normal: FloatArray
@@ -191,7 +189,7 @@ class _HalfPlanes:
             side = np.roll(polygon, -1, axis=0) - polygon
             outwards = np.column_stack([side[:, 1], -side[:, 0]]) / np.hypot(*side.T)[:, None]
             normal[k, : len(polygon)] = outwards
-            offset[k, : len(polygon)] = np.sum(outwards * polygon, axis=1) - INSIDE_M
+            offset[k, : len(polygon)] = np.sum(outwards * polygon, axis=1) - 1e-6
         low, high = (np.array([f(p, axis=0) for p in polygons]) for f in (np.min, np.max))
         return cls(normal, offset, low, high)
 
