@@ -15,6 +15,7 @@ import errno
 import os
 import sqlite3
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from functools import cache
 from itertools import cycle
 from pathlib import Path
@@ -250,6 +251,8 @@ def write_run(folder: Path, simulated: SimulatedRun, container: str = "mcap") ->
             for others, _ in FORMATS.values():
                 for file in others:
                     Path(folder, file.format(run)).unlink(missing_ok=True)
+            with suppress(OSError):  # the folder of such a log, now empty
+                (folder / run).rmdir()
             for file in files:
                 target = folder / file.format(run)
                 target.parent.mkdir(exist_ok=True)
