@@ -5,8 +5,8 @@ the robot's frame, with a pose for each branch: the junction's centre and the br
 Scans are sensor_msgs/LaserScan on /scan, stamped with the time of their first beam; the laser's
 mount is one message on /tf_static.
 
-Logs are written by rosbags. The same run gives the same bytes with the same versions of it (and of
-SQLite, LZ4 and Zstandard), and the same messages with any version.
+Logs are written by mcap and rosbags. The same run gives the same bytes with the same versions of
+these libraries (and of SQLite, LZ4 and Zstandard), and the same messages with any version.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import os
 import sqlite3
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from functools import cache
+from functools import cache, partial
 from itertools import cycle
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -198,7 +198,24 @@ def _mount(run: Run, scans: Scans, time_ns: int, ros: str) -> bytes:
 # Containers.
 
 
-def _write(path: Path, simulated: SimulatedRun, storage: str | None) -> None:
+def _write_mcap(path: Path, simulated: SimulatedRun) -> None:
+    from mcap.writer import CompressionType, Writer
+
+    store = typestore("ros2")
+    with path.open("xb") as file:
+        writer = Writer(file, compression=CompressionType.ZSTD)
+        writer.start(profile="ros2", library="topobatch")
+        channels = {}
+        for topic in topics_of(simulated):
+            text, _ = store.generate_msgdef(TOPICS[topic], ros_version=2)
+            schema = writer.register_schema(TOPICS[topic], "ros2msg", text.encode())
+            channels[topic] = writer.register_channel(topic, "cdr", schema)
+        for log_ns, topic, payload in messages_of(simulated, "ros2"):
+            writer.add_message(channels[topic], log_ns, payload, log_ns)
+        writer.finish()  # type: ignore[no-untyped-call]
+
+
+def _write_bag(path: Path, simulated: SimulatedRun, storage: str | None) -> None:
     """A ROS 1 bag, or the folder of a ROS 2 bag of a storage."""
     from rosbags import rosbag1, rosbag2
 
@@ -222,16 +239,20 @@ def _write(path: Path, simulated: SimulatedRun, storage: str | None) -> None:
             writer.write(links[topic], log_ns, payload)
 
 
-FORMATS: Mapping[str, tuple[tuple[str, ...], str | None]] = MappingProxyType(
-    {
-        "mcap": (("{0}.mcap",), "MCAP"),
-        "bag": (("{0}.bag",), None),
-        "db3": (("{0}/{0}.db3", "{0}/metadata.yaml"), "SQLITE3"),
-        "ros2-mcap": (("{0}/{0}.mcap", "{0}/metadata.yaml"), "MCAP"),
-    }
+FORMATS: Mapping[str, tuple[tuple[str, ...], Callable[[Path, SimulatedRun], None]]] = (
+    MappingProxyType(
+        {
+            "mcap": (("{0}.mcap",), _write_mcap),
+            "bag": (("{0}.bag",), partial(_write_bag, storage=None)),
+            "db3": (("{0}/{0}.db3", "{0}/metadata.yaml"), partial(_write_bag, storage="SQLITE3")),
+            "ros2-mcap": (
+                ("{0}/{0}.mcap", "{0}/metadata.yaml"),
+                partial(_write_bag, storage="MCAP"),
+            ),
+        }
+    )
 )
-"""Containers by name: the files of a run's log, and the storage of its ROS 2 bag. One file "mcap"
-is what the folder "ros2-mcap" holds."""
+"""Containers by name: the files of a run's log, and the writer of that file or of their folder."""
 
 
 def write_run(folder: Path, simulated: SimulatedRun, container: str = "mcap") -> Path:
@@ -240,14 +261,12 @@ def write_run(folder: Path, simulated: SimulatedRun, container: str = "mcap") ->
     Existing logs of that name in any container are replaced. container: of FORMATS. Raises OSError
     with the log's path if it cannot be written.
     """
-    run, (files, storage) = simulated.run.name, FORMATS[container]
+    run, (files, write) = simulated.run.name, FORMATS[container]
     path = folder / Path(files[0].format(run)).parts[0]
     folder.mkdir(parents=True, exist_ok=True)
     try:
         with TemporaryDirectory(prefix=".topobatch-", suffix=".tmp", dir=folder) as made:
-            _write(
-                Path(made, run).with_suffix(".bag" if storage is None else ""), simulated, storage
-            )
+            write(Path(made, path.name), simulated)
             for others, _ in FORMATS.values():
                 for file in others:
                     Path(folder, file.format(run)).unlink(missing_ok=True)
@@ -256,7 +275,7 @@ def write_run(folder: Path, simulated: SimulatedRun, container: str = "mcap") ->
             for file in files:
                 target = folder / file.format(run)
                 target.parent.mkdir(exist_ok=True)
-                os.replace(next(Path(made).rglob(target.name)), target)
+                os.replace(Path(made, file.format(run)), target)
     except OSError as error:
         raise OSError(error.errno, error.strerror, str(path)) from error
     except sqlite3.Error as error:
