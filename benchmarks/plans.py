@@ -2,30 +2,18 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
 from itertools import pairwise
 
 import numpy as np
 from scipy.cluster.hierarchy import DisjointSet
 
-from topobatch.simulation.world import straight, without_bends, world_of_links
+from topobatch.simulation.world import straight_world
 from topobatch.simulation.worlds import make_world
-from topobatch.topology.se2 import wrap
 
 
 def built(kind, seed, xy, pairs):
     """A world of straight corridors between points; of two in one line one is made."""
-    xy = np.asarray(xy, np.float64)
-    links = [straight(xy, u, v) for u, v in pairs]
-    leaving = defaultdict(list)
-    for u, v in pairs:
-        leaving[u].append(np.arctan2(*(xy[v] - xy[u])[::-1]))
-        leaving[v].append(np.arctan2(*(xy[u] - xy[v])[::-1]))
-    bend = [
-        len(out := leaving[v]) == 2 and abs(wrap(out[0] - out[1] + np.pi)) < 0.05
-        for v in range(len(xy))
-    ]
-    return world_of_links(f"{kind}-{seed}", kind, xy, without_bends(links, ~np.array(bend)))
+    return straight_world(f"{kind}-{seed}", kind, np.asarray(xy, np.float64), pairs)
 
 
 def ends_of(world):

@@ -143,8 +143,6 @@ def simulate(
     scenario = simulate_scenario(settings)
     with progress("writing", runs + unrelated, "logs") as advance:
         one_more = counting(advance)
-        logs = write_scenario(
-            scenario, out, formats or ["mcap"], lambda _: one_more(1), alone=force
-        )
+        logs = write_scenario(scenario, out, formats or ["mcap"], lambda _: one_more(1))
     following = shlex.join(("topobatch", "ingest", str(out)))
     say(f"{counted(len(logs), 'log')} and truth.json in {out}; next: {following}")

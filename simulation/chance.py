@@ -38,6 +38,10 @@ class Chance:
         unit = (raw >> np.uint64(11)).astype(np.float64) * 2.0**-53
         return low + (high - low) * unit
 
+    def around(self, half: float, size: int) -> FloatArray:
+        """(size,) uniform in [-half, half)."""
+        return self.uniform(-half, half, size)
+
     def normal(self, sigma: float, size: int) -> FloatArray:
         """(size,) normal with mean 0, by inverse transform sampling."""
         from scipy.special import ndtri

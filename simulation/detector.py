@@ -12,7 +12,7 @@ from ..topology.se2 import apply, inverse, wrap
 from .chance import Chance, quantised
 from .motion import Drive
 from .settings import Faults
-from .world import World
+from .world import BRANCH_REACH_M, CLEAR_M, World
 
 REACH_M = 1.0
 """A junction is detected from this distance before to this distance after it, along the path."""
@@ -85,9 +85,8 @@ def _visits(
 ) -> list[_Pass]:
     """A pass for every visit of a vertex; it ends before half-way to the next visit."""
     way = drive.visit_way_m
-    gap = np.concatenate([[np.inf], np.diff(way), [np.inf]])
-    start = drive.first_at(way - np.minimum(REACH_M, 0.45 * gap[:-1]))
-    end = drive.last_at(way + np.minimum(REACH_M, 0.45 * gap[1:]))
+    reach = np.minimum(REACH_M, 0.45 * np.concatenate([[np.inf], np.diff(way), [np.inf]]))
+    start, end = drive.first_at(way - reach[:-1]), drive.last_at(way + reach[1:])
     by_vertex = {}  # the branches that can be seen in this run, and their fault
     for v in sorted(set(drive.visit_vertex.tolist())):
         branches = tuple(h for e, _, h in world.ends(v) if e not in closed)
@@ -128,16 +127,17 @@ def _phantoms(drive: Drive, faults: Faults, chance: Chance) -> list[_Pass]:
     branches."""
     length = drive.leg_to_m - drive.leg_from_m
     hit = chance.happens(faults.phantom_rate, len(length)) & (length > 4.5)
+    clear = REACH_M + BRANCH_REACH_M
     passes = []
     for i in np.flatnonzero(hit).tolist():
-        way = chance.one_uniform(drive.leg_from_m[i] + 1.7, drive.leg_to_m[i] - 2.2)
+        way = chance.one_uniform(drive.leg_from_m[i] + clear, drive.leg_to_m[i] - CLEAR_M)
         span = np.array([way, way + chance.one_uniform(0.3, 0.9)])
         start, end = drive.first_at(span[:1])[0], drive.last_at(span[1:])[0]
         x, y, theta = drive.at(np.array([0.5 * (start + end)]))[0].tolist()
         branches: tuple[float, ...] = (float(wrap(theta)), float(wrap(theta + np.pi)))
         for _ in range(chance.index(3)):
             sideways = wrap(theta + np.pi / 2 * (1 if len(branches) == 2 else -1))
-            branches = (*branches, float(wrap(sideways + chance.one_uniform(-0.6, 0.6))))
+            branches = (*branches, float(wrap(sideways + chance.around(0.6, 1)[0])))
         passes.append(_Pass(float(start), float(end), NO_VERTEX, (x, y), branches, "phantom"))
     return passes
 
@@ -147,7 +147,7 @@ def _message_times(
 ) -> tuple[FloatArray, IntArray]:
     """(k,) ascending message times within passes that are seen, and (k,) the pass of each."""
     count = int(end_s * rate_hz)
-    ticks = np.arange(count) + chance.uniform(0.35, 0.65, count)
+    ticks = np.arange(count) + 0.5 + chance.around(0.15, count)
     time = quantised(ticks[~chance.happens(faults.lost_message_rate, count)] / rate_hz, 20)
     start = np.array([p.start_s for p in passes])
     end = np.array([p.end_s if p.branches else -1.0 for p in passes])

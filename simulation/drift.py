@@ -56,7 +56,7 @@ def _stamps(end_s: float, rate_hz: float, chance: Chance) -> FloatArray:
     """(n,) times of the odometry's messages: periodic with jitter."""
     count = int(end_s * rate_hz) + 1
     time = np.arange(count) / rate_hz
-    time[1:-1] += np.clip(chance.normal(0.05, count - 2), -0.3, 0.3) / rate_hz
+    time[1:-1] += chance.normal(0.05, count - 2) / rate_hz
     return quantised(time, 20)
 
 
@@ -99,9 +99,9 @@ def _leaps(way: FloatArray, drift: Drift, chance: Chance) -> tuple[IntArray, Flo
     if drift.jumps == 0:
         return np.zeros(0, np.int64), np.zeros((3, 0))
     # One jump in the middle half of each of `jumps` equal parts of the path.
-    share = (np.arange(drift.jumps) + chance.uniform(0.25, 0.75, drift.jumps)) / drift.jumps
+    share = (np.arange(drift.jumps) + 0.5 + chance.around(0.25, drift.jumps)) / drift.jumps
     row = np.unique(np.searchsorted(np.cumsum(way), share * way.sum()))
-    whither = chance.uniform(-np.pi, np.pi, len(row))
+    whither = chance.around(np.pi, len(row))
     turn = np.where(chance.happens(0.5, len(row)), 1, -1) * np.radians(drift.jump_deg)
     shift = [drift.jump_m * quantised(of(whither), 26) for of in (np.cos, np.sin)]
     return row, np.stack([*shift, turn])
@@ -111,8 +111,7 @@ def _origin(chance: Chance) -> FloatArray:
     """The first pose: zero for half of the runs, random for the others."""
     if chance.one_happens(0.5):
         return np.zeros(3)
-    xy = chance.uniform(-30.0, 30.0, 2)
-    return quantised(np.append(xy, chance.one_uniform(-np.pi, np.pi)), 20)
+    return quantised(np.append(chance.around(30.0, 2), chance.around(np.pi, 1)), 20)
 
 
 def _integrated(

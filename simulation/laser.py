@@ -8,17 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..topology.arrays import BoolArray, Float32Array, FloatArray, IntArray
-from ..topology.columns import take
-from ..topology.frozen import freeze
+from ..topology.columns import joined, take
 from ..topology.se2 import compose
 from .chance import Chance, quantised
 from .motion import Drive
 from .settings import LaserSettings
 from .walls import Segments, doorways, walls_of
 from .world import World, polyline_at
-
-SCANS_AT_ONCE = 8
-"""Scans cast together; with more, the set of walls in reach of any of them grows."""
 
 PANEL_M = 2.0
 """Length of wall panels of one material."""
@@ -32,77 +28,32 @@ PERSON_M = 0.2
 GRID_BITS = 8
 """Ranges are multiples of 2^-8 m (4 mm), a lidar's typical resolution: logs compress better."""
 
-NOTHING = -1
-"""Segment of a beam that hits none."""
-
 DOOR_STAYS_S = (20.0, 90.0)
 """Range of the time between changes of a door."""
 
-WAY_CLEAR_M = 1.2
-"""A door is open while the robot is within this distance, and for WAY_CLEAR_S before and after."""
-
 WAY_CLEAR_S = 6.0
-"""See WAY_CLEAR_M."""
+"""A door is open while the robot is near, and for this long before and after."""
 
 WALKING_M_PER_S = (0.8, 1.5)
 """Range of walking speeds."""
 
 ASIDE_M = 0.3
-"""People walk this far to the right of the corridor's centre line."""
-
-STEPS_ASIDE_M = 0.6
-"""People within this distance of the robot's centre are removed from its scan."""
+"""People walk this far to the right of the corridor's centre line. They give way to the robot
+(leave its scan) within twice this of its centre, and doors within four times this."""
 
 TICK_S = 0.25
 """Time step of doors."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Doors:
-    """Doors and when they are shut.
-
-    walls: (d,) segments; edge, vertex: (d,) the corridor and the end of it at which each is; door,
-    from_s, to_s: (k,) half-open intervals in which door `door` is shut.
-    """
-
-    walls: Segments
-    edge: IntArray
-    vertex: IntArray
-    door: IntArray
-    from_s: FloatArray
-    to_s: FloatArray
-
-    def shut(self, time_s: FloatArray) -> BoolArray:
-        """(n, d) which doors are shut at each time."""
-        out = np.zeros((len(time_s), len(self.walls)), np.bool_)
-        for door, from_s, to_s in zip(self.door, self.from_s, self.to_s, strict=True):
-            out[:, door] |= (time_s >= from_s) & (time_s < to_s)
-        return out
-
-
-People = list[tuple[FloatArray, FloatArray]]
-"""For each person ascending times (k,) [s] and the points (k, 2) at them."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Scans:
     """Scans as recorded: time_s (n,) of the first beam; ranges_m (n, m) float32, inf without an
-    echo; angles_rad (m,) ascending, in the laser's frame.
-
-    doors: the world's doors and when they were shut, in true time.
-    """
+    echo; angles_rad (m,) ascending, in the laser's frame."""
 
     time_s: FloatArray
     ranges_m: Float32Array
     angles_rad: FloatArray
     settings: LaserSettings
-    doors: Doors
-
-    def __post_init__(self) -> None:
-        freeze(self, np.float64, time_s=(None,), angles_rad=(None,))
-        if self.ranges_m.shape != (len(self.time_s), len(self.angles_rad)):
-            raise ValueError("one range per scan and beam is needed")
-        self.ranges_m.flags.writeable = False
 
     def __len__(self) -> int:
         return len(self.time_s)
@@ -110,36 +61,39 @@ class Scans:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Scene:
-    """Everything that beams can hit; panel_at: (s,) index of each wall's first panel in `glass`."""
+    """Everything that beams can hit.
+
+    panel_at: (s,) index of each wall's first panel in `glass`. shut: (t, d) which doors are shut in
+    every tick. people: for each ascending times (k,) [s] and the points (k, 2) at them.
+    """
 
     walls: Segments
     glass: BoolArray
     panel_at: IntArray
-    doors: Doors
-    people: People
+    doors: Segments
+    shut: BoolArray
+    people: list[tuple[FloatArray, FloatArray]]
 
 
 def scans(
     world: World, drive: Drive, closed: set[int], settings: LaserSettings, chance: Chance
 ) -> Scans:
-    """The laser's scans during a drive. O(scans × beams × walls in reach), vectorised."""
+    """The laser's scans during a drive. O(scans × beams × walls in reach)."""
     scene = _scene(world, drive, closed, settings, chance)
     half = np.radians(0.5 * settings.view_deg)
     angles: FloatArray = np.linspace(-half, half, settings.beams).round(9)
     count = int((float(drive.time_s[-1]) - settings.sweep_s) * settings.rate_hz)
     start = quantised((np.arange(count) + chance.uniform(0.0, 0.2, count)) / settings.rate_hz, 20)
-    rows = [
-        _cast(drive, start[k : k + SCANS_AT_ONCE], angles, settings, scene)
-        for k in range(0, count, SCANS_AT_ONCE)
-    ]
-    ranges = np.concatenate(rows) if rows else np.zeros((0, settings.beams))
-    seen = ranges + chance.normal(settings.noise_m, ranges.size).reshape(ranges.shape)
-    seen[chance.happens(settings.lost_rate, ranges.size).reshape(ranges.shape)] = np.inf
+    seen = np.zeros((count, settings.beams))
+    for row, time_s in zip(seen, start.tolist(), strict=True):
+        row[:] = _cast(drive, time_s, angles, settings, scene)
+    seen += chance.normal(settings.noise_m, seen.size).reshape(seen.shape)
+    seen[chance.happens(settings.lost_rate, seen.size).reshape(seen.shape)] = np.inf
     finite = np.isfinite(seen)
     seen[finite] = quantised(np.maximum(seen[finite], settings.range_min_m), GRID_BITS)
     # Readers treat ranges of range_max and more as no echo.
     seen[seen >= settings.range_max_m] = np.inf
-    return Scans(start, seen.astype(np.float32), angles, settings, scene.doors)
+    return Scans(start, seen.astype(np.float32), angles, settings)
 
 
 def _scene(
@@ -147,81 +101,64 @@ def _scene(
 ) -> _Scene:
     walls = walls_of(world, settings.corridor_m)
     panels = np.floor(walls.length / PANEL_M).astype(np.int64) + 1
-    hinges = doorways(world, settings.corridor_m)
     glass = chance.happens(settings.glass_share, int(panels.sum()))
-    doors = hang_doors(hinges, drive, closed, settings.door_share, chance)
+    doors, shut = _doors(world, drive, closed, settings, chance)
     crowd = round(settings.people_per_100_m * float(world.length.sum()) / 100)
     end_s = float(drive.time_s[-1]) + 1.0
     people = [_wander(world, closed, end_s, chance) for _ in range(crowd)]
-    return _Scene(walls, glass, np.cumsum(panels) - panels, doors, people)
+    return _Scene(walls, glass, np.cumsum(panels) - panels, doors, shut, people)
 
 
 def _cast(
-    drive: Drive, start_s: FloatArray, angles: FloatArray, settings: LaserSettings, scene: _Scene
+    drive: Drive, start_s: float, angles: FloatArray, settings: LaserSettings, scene: _Scene
 ) -> FloatArray:
-    """(n, m) true ranges of a few consecutive scans, inf without a hit."""
-    beam_s = np.linspace(0.0, settings.sweep_s, settings.beams)
-    robot = drive.at((start_s[:, None] + beam_s).ravel())
+    """(m,) true ranges of a scan, inf without a hit."""
+    robot = drive.at(start_s + np.linspace(0.0, settings.sweep_s, settings.beams))
     laser = compose(robot, np.array(settings.mount))
-    turn = -angles if settings.upside_down else angles
-    heading = laser[:, 2] + np.tile(turn, len(start_s))
+    heading = laser[:, 2] + (-angles if settings.upside_down else angles)
     direction = quantised(np.column_stack([np.cos(heading), np.sin(heading)]), 40)
     origin = quantised(laser[:, :2], 26)
-    low = origin.min(axis=0) - settings.range_max_m
-    high = origin.max(axis=0) + settings.range_max_m
+    # Noise brings walls just beyond the range within it.
+    reach = settings.range_max_m + 5 * settings.noise_m
+    low = origin.min(axis=0) - reach
+    high = origin.max(axis=0) + reach
     walls = _reached(scene.walls, low, high)
-    way, wall, at = cast_at_segments(origin, direction, take(scene.walls, walls))
-    doors = _reached(scene.doors.walls, low, high)
-    shut = np.repeat(scene.doors.shut(start_s)[:, doors], len(beam_s), axis=0)
-    to_door, _, _ = cast_at_segments(origin, direction, take(scene.doors.walls, doors), shut)
-    people = np.repeat(_people_seen(scene.people, start_s, drive), len(beam_s), axis=0)
-    moving = np.minimum(to_door, cast_at_circles(origin, direction, people, PERSON_M))
+    doors = np.flatnonzero(scene.shut[int(start_s / TICK_S)])
+    standing = joined([take(scene.walls, walls), take(scene.doors, doors)])
+    way, met, at = cast_at_segments(origin, direction, standing)
+    to_people = _cast_at_people(origin, direction, _people_seen(scene, start_s, robot[0, :2]))
     # A beam lost in glass hits nothing behind it: people there are hidden by other walls as well.
-    lost = (way <= moving) & _lost_in_glass(direction, wall, at, walls, scene)
-    return np.where(lost, np.inf, np.minimum(way, moving)).reshape(len(start_s), -1)
+    of_wall = np.flatnonzero((way <= to_people) & (met < len(walls)) & np.isfinite(way))
+    lost = _lost_in_glass(direction[of_wall], walls[met[of_wall]], at[of_wall], scene)
+    out = np.minimum(way, to_people)
+    out[of_wall[lost]] = np.inf
+    return out
 
 
 def _reached(segments: Segments, low: FloatArray, high: FloatArray) -> IntArray:
     """Indices of the segments whose bounding box meets the given box."""
     least, most = np.minimum(segments.a, segments.b), np.maximum(segments.a, segments.b)
-    return np.flatnonzero(((least <= high) & (most >= low)).all(axis=1)).astype(np.int64)
+    return np.flatnonzero(((least <= high) & (most >= low)).all(axis=1))
 
 
 def _lost_in_glass(
-    direction: FloatArray, wall: IntArray, at: FloatArray, numbers: IntArray, scene: _Scene
+    direction: FloatArray, wall: IntArray, at: FloatArray, scene: _Scene
 ) -> BoolArray:
-    """(r,) which beams hit glass and give no echo. wall, at: as returned by the cast, among
-    `numbers`."""
-    met = wall != NOTHING
-    lost = np.zeros(len(wall), np.bool_)
-    number = numbers[wall[met]]
-    panel = scene.panel_at[number] + np.floor(at[met] / PANEL_M).astype(np.int64)
-    along = (scene.walls.b - scene.walls.a)[number] / scene.walls.length[number, None]
-    squarely = np.abs(direction[met, 0] * along[:, 1] - direction[met, 1] * along[:, 0])
-    lost[met] = scene.glass[panel] & (squarely < GLASS_SEEN)
-    return lost
-
-
-def _people_seen(people: People, time_s: FloatArray, drive: Drive) -> FloatArray:
-    """(n, p, 2) positions of people; those in the robot's way are moved out of reach."""
-    xy = positions(people, time_s)
-    near = np.hypot(*np.moveaxis(xy - drive.at(time_s)[:, None, :2], -1, 0)) < STEPS_ASIDE_M
-    xy[near] = 1e9
-    return xy
+    """(r,) which beams that hit a wall, so far along it, hit glass and give no echo."""
+    panel = scene.panel_at[wall] + np.floor(at / PANEL_M).astype(np.int64)
+    along = (scene.walls.b - scene.walls.a)[wall] / scene.walls.length[wall, None]
+    squarely = np.abs(direction[:, 0] * along[:, 1] - direction[:, 1] * along[:, 0])
+    return np.asarray(scene.glass[panel] & (squarely < GLASS_SEEN))
 
 
 def cast_at_segments(
-    origin: FloatArray, direction: FloatArray, segments: Segments, present: BoolArray | None = None
+    origin: FloatArray, direction: FloatArray, segments: Segments
 ) -> tuple[FloatArray, IntArray, FloatArray]:
     """The first hit of each beam on a set of segments. O(r s), vectorised.
 
-    origin, direction: (r, 2), directions of unit length; present: (r, s) which segments exist for
-    which beam. Returns range (r,) [m], inf without a hit; segment (r,), else NOTHING; at (r,)
-    distance from the segment's start [m].
+    origin, direction: (r, 2), directions of unit length. Returns range (r,) [m], inf without a hit;
+    and where there is a hit: segment (r,), and at (r,) distance from the segment's start [m].
     """
-    if len(segments) == 0:
-        rays = len(origin)
-        return np.full(rays, np.inf), np.full(rays, NOTHING, np.int64), np.zeros(rays)
     # o + t d = a + u e, solved for all beams against all segments by Cramer's rule.
     ex, ey = (segments.b - segments.a).T
     ax, ay = segments.a[:, 0] - origin[:, :1], segments.a[:, 1] - origin[:, 1:]
@@ -230,93 +167,59 @@ def cast_at_segments(
     with np.errstate(divide="ignore", invalid="ignore"):
         way = (ax * ey - ay * ex) / cross
         share = (ax * dy - ay * dx) / cross
-    met = (way > 0) & (share >= 0) & (share <= 1)
-    if present is not None:
-        met &= present
-    way = np.where(met, way, np.inf)
-    rows = np.arange(len(origin))
+    way = np.where((way > 0) & (share >= 0) & (share <= 1), way, np.inf)
     first = way.argmin(axis=1)
-    nearest = way[rows, first]
-    hit = np.isfinite(nearest)
-    at = np.where(hit, share[rows, first], 0.0) * segments.length[first]
-    return nearest, np.where(hit, first, NOTHING).astype(np.int64), at
+    rows = np.arange(len(origin))
+    return way[rows, first], first, share[rows, first] * segments.length[first]
 
 
-def cast_at_circles(
-    origin: FloatArray, direction: FloatArray, centre: FloatArray, radius_m: float
-) -> FloatArray:
-    """(r,) range of each beam to the nearest circle, inf without a hit.
-
-    origin, direction: (r, 2); centre: (r, p, 2), the circles' positions for each beam.
-    """
-    if centre.shape[1] == 0:
-        return np.full(len(origin), np.inf)
+def _cast_at_people(origin: FloatArray, direction: FloatArray, centre: FloatArray) -> FloatArray:
+    """(r,) range of each beam to the nearest of the circles around centres (p, 2), else inf."""
     to = centre - origin[:, None]
     along = np.einsum("rpk,rk->rp", to, direction)
-    apart2 = np.einsum("rpk,rpk->rp", to, to) - along**2
-    half2 = radius_m**2 - apart2
+    half2 = PERSON_M**2 - (np.einsum("rpk,rpk->rp", to, to) - along**2)
     met = (half2 > 0) & (along > 0)
     way = np.where(met, along - np.sqrt(np.where(met, half2, 0.0)), np.inf)
-    return np.asarray(np.where(way > 0, way, np.inf).min(axis=1))
+    return np.asarray(np.where(way > 0, way, np.inf).min(axis=1, initial=np.inf))
 
 
-def hang_doors(
-    hinges: tuple[Segments, IntArray, IntArray],
-    drive: Drive,
-    closed: set[int],
-    share: float,
-    chance: Chance,
-) -> Doors:
-    """Doors at a random share of the possible places, with the times when they are shut.
+def _doors(
+    world: World, drive: Drive, closed: set[int], settings: LaserSettings, chance: Chance
+) -> tuple[Segments, BoolArray]:
+    """Doors at a random share of the possible places, and (t, d) which are shut in every tick.
 
-    hinges: as returned by `walls.doorways`. Corridors `closed` for the run have permanently shut
-    doors at both ends; others open and shut at random, never in the robot's way.
+    Corridors `closed` for the run have permanently shut doors at both ends; others open and shut at
+    random, never in the robot's way.
     """
-    places, edge, vertex = hinges
+    places, edge = doorways(world, settings.corridor_m)
     always = np.isin(edge, sorted(closed))
-    used = np.flatnonzero(always | chance.happens(share, len(edge)))
+    used = np.flatnonzero(always | chance.happens(settings.door_share, len(edge)))
     end_s = float(drive.time_s[-1]) + 1.0
-    robot = drive.at(np.arange(0.0, end_s, TICK_S))[:, :2]
-    spans = []
-    for number, place in enumerate(used.tolist()):
-        if always[place]:
-            spans.append((number, 0.0, end_s))
-            continue
-        middle = 0.5 * (places.a[place] + places.b[place])
-        passing = np.hypot(*(robot - middle).T) < WAY_CLEAR_M
-        spans += [(number, *span) for span in _shut_spans(passing, end_s, chance)]
-    door, from_s, to_s = np.array(spans, np.float64).reshape(-1, 3).T
-    return Doors(
-        Segments(places.a[used], places.b[used]),
-        edge[used],
-        vertex[used],
-        door.astype(np.int64),
-        quantised(from_s, 10),
-        quantised(to_s, 10),
-    )
+    ticks = np.arange(0.0, end_s, TICK_S)
+    robot = drive.at(ticks)[:, :2]
+    shut = np.ones((len(ticks), len(used)), np.bool_)
+    for number in np.flatnonzero(~always[used]).tolist():
+        middle = 0.5 * (places.a + places.b)[used[number]]
+        passing = np.hypot(*(robot - middle).T) < 4 * ASIDE_M
+        shut[:, number] = _shut(ticks, end_s, passing, chance)
+    return take(places, used), shut
 
 
-def _shut_spans(passing: BoolArray, end_s: float, chance: Chance) -> list[tuple[float, float]]:
-    """Intervals in which a door is shut; passing: for every tick whether the robot is near."""
+def _shut(ticks: FloatArray, end_s: float, passing: BoolArray, chance: Chance) -> BoolArray:
+    """(t,) when a door is shut; passing: for every tick whether the robot is near."""
     stays = chance.uniform(*DOOR_STAYS_S, int(end_s / DOOR_STAYS_S[0]) + 2)
     turns = np.concatenate([[0.0], np.cumsum(stays)])
-    ticks = TICK_S * np.arange(len(passing))
     first = int(chance.one_happens(0.5))
     shut = np.searchsorted(turns, ticks, side="right") % 2 == first
-    near = int(WAY_CLEAR_S / TICK_S)
-    shut &= np.convolve(passing, np.ones(2 * near + 1), mode="same") == 0
-    change = np.diff(np.concatenate([[False], shut, [False]]).astype(np.int8))
-    begins, ends = np.flatnonzero(change == 1), np.flatnonzero(change == -1)
-    return [(TICK_S * b, TICK_S * e) for b, e in zip(begins.tolist(), ends.tolist(), strict=True)]
+    clear = np.ones(2 * int(WAY_CLEAR_S / TICK_S) + 1)
+    return np.asarray(shut & (np.convolve(passing, clear, mode="same") == 0))
 
 
-def positions(people: People, time_s: FloatArray) -> FloatArray:
-    """(n, p, 2) where people are at each time, interpolated linearly."""
-    out = np.empty((len(time_s), len(people), 2))
-    for p, (times, points) in enumerate(people):
-        for axis in (0, 1):
-            out[:, p, axis] = np.interp(time_s, times, points[:, axis])
-    return quantised(out, 20)
+def _people_seen(scene: _Scene, time_s: float, robot: FloatArray) -> FloatArray:
+    """(p, 2) where people are, interpolated linearly, without those in the robot's way."""
+    rows = [[np.interp(time_s, times, axis) for axis in xy.T] for times, xy in scene.people]
+    seen: FloatArray = quantised(np.array(rows).reshape(-1, 2), 20)
+    return np.asarray(seen[np.hypot(*(seen - robot).T) >= 2 * ASIDE_M])
 
 
 def _wander(

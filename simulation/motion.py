@@ -172,8 +172,9 @@ def _joined(
     """The pieces one after another, with turns on the spot between them: ways (k,) and poses (k,
     3).
 
-    Within a piece the heading is that of the path; between two it turns in steps of 0.1 rad while
-    the position moves to the next piece's start.
+    Within a piece the heading is that of the path; between two it turns, half a turn either way,
+    while the position moves to the next piece's start, in steps by which a point half a metre from
+    the robot's centre moves STEP_M.
     """
     out_way, out_xy, out_theta = [], [], []
     theta_end: float | None = None
@@ -186,7 +187,7 @@ def _joined(
             if abs(turn) > 2.5 and chance.one_happens(0.5):
                 turn -= float(np.sign(turn)) * 2 * np.pi
             theta = theta + (theta_end + turn - theta[0])
-            count = int(abs(turn) / 0.1) + 2
+            count = int(abs(turn) * 0.5 / STEP_M) + 2
             t = np.linspace(0.0, 1.0, count + 2)[1:-1, None]
             out_way.append(np.repeat(way[0], count))
             out_xy.append((1 - t) * parts[i - 1][-1] + t * xy[0])
@@ -211,6 +212,6 @@ def _clock(
     step, turn = np.hypot(*np.diff(pose[:, :2], axis=0).T), np.abs(np.diff(pose[:, 2]))
     needed = np.maximum(step / speed, turn / settings.turn_rate_rad_per_s)
     stops = visits[chance.happens(settings.stop_rate, len(visits))]
-    at = np.searchsorted(way, stops + chance.uniform(-2.0, 2.0, len(stops))) - 1
+    at = np.searchsorted(way, stops + chance.around(2.0, len(stops))) - 1
     np.add.at(needed, np.clip(at, 0, len(needed) - 1), chance.uniform(2.0, 8.0, len(stops)))
     return np.concatenate([[0.0], np.cumsum(quantised(np.maximum(needed, 2.0**-14), 20))])

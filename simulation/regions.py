@@ -50,7 +50,7 @@ def chain_of_regions(
         short = sum(size - len(region) for region in regions) / size + runs - len(regions)
         return round(sum(abs(share - overlap) for share in shares) + short, 9)
 
-    directions = [0.0, np.pi, *chance.uniform(-0.25, 0.25, 4).tolist(), 0.5 * np.pi, -0.5 * np.pi]
+    directions = [0.0, np.pi, *chance.around(0.25, 4).tolist(), 0.5 * np.pi, -0.5 * np.pi]
     sweeps = [world.xy[:, 0] * np.cos(d) + world.xy[:, 1] * np.sin(d) for d in directions]
     sweeps += [_way_from(world, int(v)) for v in (np.argmin(sweeps[0]), np.argmax(sweeps[0]))]
     return min((_sweep(world, runs, size, overlap, sweep) for sweep in sweeps), key=miss)

@@ -10,7 +10,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-from .scenario import Scenario, joined, simulate_scenario
+from .scenario import Scenario, simulate_scenario
 from .settings import LaserSettings, MotionSettings, ScenarioSettings, WalkSettings
 from .writing import write_scenario
 
@@ -19,8 +19,8 @@ BRISK = MotionSettings(
 )
 """Fast driving gives short runs and small files."""
 
-CONTAINERS = {"maze-1": "mcap", "maze-2": "bag", "maze-3": "db3"}
-"""Container by run; the others are MCAP."""
+CONTAINERS = ("mcap", "bag", "db3", "mcap", "mcap")
+"""Containers of the three runs in the maze, of the office and of the streets."""
 
 MAZE = ScenarioSettings(
     world="maze",
@@ -53,16 +53,10 @@ OFFICE = replace(
 
 def sample_scenario() -> Scenario:
     """The runs of the sample logs, in memory."""
-    return joined(*(simulate_scenario(s) for s in (MAZE, OFFICE, STREETS)))
-
-
-def write_samples(folder: Path) -> list[Path]:
-    """Write the sample logs and their truth into a folder; returns the paths of the logs."""
-    scenario = sample_scenario()
-    return write_scenario(
-        scenario, folder, [CONTAINERS.get(name, "mcap") for name in scenario.runs]
-    )
+    parts = [simulate_scenario(s) for s in (MAZE, OFFICE, STREETS)]
+    worlds = {name: world for part in parts for name, world in part.worlds.items()}
+    return Scenario(tuple(s for part in parts for s in part.simulated), worlds)
 
 
 if __name__ == "__main__":
-    write_samples(Path(sys.argv[1]))
+    write_scenario(sample_scenario(), Path(sys.argv[1]), CONTAINERS)

@@ -36,6 +36,9 @@ EPOCH_NS = 1_700_000_000 * 10**9
 BETWEEN_RUNS_NS = 7200 * 10**9
 """Time from one run's start to the next one's: two hours."""
 
+ROOM = (1.15, 1.4, 1.8)
+"""Sizes of the worlds that are tried, as multiples of the junctions that the runs visit."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SimulatedRun:
@@ -71,18 +74,6 @@ class Scenario:
     def truth(self) -> Truth:
         """The truth about all runs."""
         return Truth(self.worlds, {s.run.name: s.truth for s in self.simulated}, self.changes)
-
-
-def joined(*scenarios: Scenario) -> Scenario:
-    """Several scenarios as one; UsageError if two of their runs or worlds have the same name."""
-    simulated = [s for scenario in scenarios for s in scenario.simulated]
-    worlds = {name: w for scenario in scenarios for name, w in scenario.worlds.items()}
-    if len({s.run.name for s in simulated}) < len(simulated):
-        raise UsageError("two scenarios have runs of the same name: give them another prefix")
-    if len(worlds) < sum(len(scenario.worlds) for scenario in scenarios):
-        raise UsageError("two scenarios have worlds of the same name: give them another prefix")
-    changes = tuple(change for scenario in scenarios for change in scenario.changes)
-    return Scenario(tuple(sorted(simulated, key=lambda s: s.run.name)), worlds, changes)
 
 
 def simulate_scenario(settings: ScenarioSettings | None = None) -> Scenario:
@@ -143,7 +134,7 @@ def _changes(
         starts = [start_ns[k] for k in holders]
         without = gone | {edge}
         if len(starts) > 1 and all(_connected(world, regions[k], without) for k in holders):
-            time_s = chance.one_uniform(min(starts) / 1e9 + 1, max(starts) / 1e9)
+            time_s = chance.one_uniform(min(starts) / 10**9 + 1, max(starts) / 10**9)
             out.append(WorldChange(name, edge, int(time_s) * 10**9, chance.one_happens(0.5)))
             gone = without
     if len(out) < s.changes:
@@ -167,8 +158,8 @@ def _world_with_regions(s: ScenarioSettings) -> tuple[World, list[set[int]]]:
     """A world and the region of each run; larger worlds are tried until the regions fit."""
     size, chance = s.junctions_per_run, Chance("regions", s.seed)
     wanted = size * (1 + (s.runs - 1) * (1 - s.overlap))
-    for room in (1.15, 1.4, 1.8):
-        aspect = max(1.0, 0.8 * wanted / size)
+    aspect = max(1.0, 0.8 * wanted / size)
+    for room in ROOM:
         world = make_world(s.world, round(wanted * room), s.seed, aspect)
         regions = chain_of_regions(world, s.runs, size, s.overlap, chance)
         if len(regions) == s.runs and min(len(r) for r in regions) >= 0.9 * size:
@@ -213,7 +204,7 @@ def simulate_run(
     )
 
     def stamps(time_s: FloatArray) -> Any:
-        return start_ns + np.round(time_s * 1e6).astype(np.int64) * 1000
+        return start_ns + np.round(time_s * 10**6).astype(np.int64) * 1000
 
     odometry = Odometry(time_ns=stamps(track.time_s), pose=track.pose, breaks=track.breaks)
     detections = Detections(stamps(seen.time_s), seen.centre, seen.branches)
@@ -237,8 +228,7 @@ def simulate_run(
         closed_edges=tuple(sorted(closed)),
         break_ns=tuple(odometry.time_ns[track.breaks].tolist()),
         jump_ns=tuple(odometry.time_ns[track.jumps].tolist()),
-        doors=_shut(seen_by_laser, stamps),
-        settings={"seed": seed, **s.recorded()},
+        settings={**s.recorded(), "seed": seed},
     )
     return SimulatedRun(
         Run(name, odometry, detections),
@@ -248,12 +238,3 @@ def simulate_run(
         stamps(seen_by_laser.time_s if seen_by_laser else np.zeros(0)),
         s.tells_junctions,
     )
-
-
-def _shut(scans: Scans | None, stamps: Any) -> tuple[tuple[int, int, int, int], ...]:
-    """Corridor, vertex, from and to [ns] of every interval in which a door was shut."""
-    if scans is None:
-        return ()
-    doors, which = scans.doors, scans.doors.door
-    columns = (doors.edge[which], doors.vertex[which], stamps(doors.from_s), stamps(doors.to_s))
-    return tuple(zip(*(column.tolist() for column in columns), strict=True))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, replace
 from types import MappingProxyType
 from typing import Any
 
@@ -235,13 +235,9 @@ class RunSettings:
         return drift, faults, laser
 
     def recorded(self) -> dict[str, Any]:
-        """The settings as they stand in the truth; without a laser those about it are left out."""
+        """The settings as they stand in the truth, with levels replaced by their values."""
         drift, faults, laser = self.values()
-        whole = asdict(replace(self, drift=drift, faults=faults, laser=laser))
-        out = {each.name: whole[each.name] for each in fields(RunSettings)}
-        if laser is None:
-            del out["laser"], out["tells_junctions"]
-        return out
+        return asdict(replace(self, drift=drift, faults=faults, laser=laser))
 
 
 @dataclass(frozen=True, slots=True)

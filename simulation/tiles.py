@@ -131,5 +131,4 @@ def _largest(name: str, paths: list[tuple[Point, ...]]) -> World:
     links: list[Link] = [
         (number[path[0]], number[path[-1]], UNIT_M * np.array(path, np.float64)) for path in paths
     ]
-    degree = np.bincount([end for u, v, _ in links for end in (u, v)], minlength=len(xy))
-    return world_of_links(name, "tiles", xy, without_bends(links, degree != 2))
+    return world_of_links(name, "tiles", xy, without_bends(links))

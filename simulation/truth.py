@@ -10,7 +10,6 @@
                                   "messages": […], "fault": […]},
                        "drives": {"edge": […], "start_ns": […], "end_ns": […]},
                        "closed_edges": […], "break_ns": […], "jump_ns": […],
-                       "doors": [[edge, vertex, from_ns, to_ns], …],
                        "path": [[time_ns, x, y, theta], …],
                        "settings": {…}}},
      "changes": [{"world": "maze", "edge": 7, "time_ns": …, "open": false}],
@@ -18,11 +17,11 @@
 
 Metres and radians in the world's frame. Vertices and edges are indices into their world's lists.
 `vertex` is -1 for a phantom; a pass with 0 messages was not detected. Times of passes are detector
-stamps, those of `path`, `drives` and `doors` true times; `doors` are the intervals in which they
-were shut, left out without a laser. `closed_edges` are the corridors closed during a run; `changes`
-those that closed or opened for good between runs, left out without any. `T_world_odom` is the
-odometry frame's pose by the run's first pose, without drift. `transform` is T_a_b by these poses;
-it and `common` (vertices that both runs detected) are given for every pair of runs of one world.
+stamps, those of `path` and `drives` true times. `closed_edges` are the corridors closed during a
+run; `changes` those that closed or opened for good between runs, left out without any.
+`T_world_odom` is the odometry frame's pose by the run's first pose, without drift. `transform` is
+T_a_b by these poses; it and `common` (vertices that both runs detected) are given for every pair of
+runs of one world.
 """
 
 from __future__ import annotations
@@ -37,8 +36,7 @@ import numpy as np
 from scipy.cluster.hierarchy import DisjointSet
 
 from ..topology.arrays import FloatArray, IntArray
-from ..topology.errors import DocumentError
-from ..topology.files import read_json, write_json
+from ..topology.files import write_json
 from ..topology.se2 import apply, between, fit_rigid, wrap
 from ..topology.topomap import TopoMap
 from .detector import NO_VERTEX
@@ -49,17 +47,13 @@ TRUTH_SCHEMA = "topobatch.truth/1"
 MIXED = -2
 """Vertex of a map's node with passes of several vertices."""
 
-PASS_TOLERANCE_NS = 1_000_000_000
-"""An observation within this time of a pass belongs to it."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunTruth:
     """The truth about a run, with the fields of `truth.json` as arrays.
 
     start_ns, end_ns, vertex, messages (p,), fault (p,): passes by time. drive_edge, drive_start_ns,
-    drive_end_ns (l,): corridors driven from end to end. path_ns (k,), path (k, 3). doors: corridor,
-    vertex at that end of it, from and to [ns] of each interval in which a door was shut.
+    drive_end_ns (l,): corridors driven from end to end. path_ns (k,), path (k, 3).
     """
 
     name: str
@@ -78,7 +72,6 @@ class RunTruth:
     closed_edges: tuple[int, ...] = ()
     break_ns: tuple[int, ...] = ()
     jump_ns: tuple[int, ...] = ()
-    doors: tuple[tuple[int, int, int, int], ...] = ()
     settings: Mapping[str, Any] = field(default_factory=dict)
 
     @property
@@ -111,12 +104,11 @@ class Truth:
             return []
         return sorted(self.runs[a].detected & self.runs[b].detected)
 
-    def linked(self, least_common: int = 1) -> list[set[str]]:
-        """Connected groups of runs, where pairs with at least `least_common` common vertices are
-        connected: the components of a perfect merge."""
+    def linked(self) -> list[set[str]]:
+        """Groups of runs connected by common vertices: the components of a perfect merge."""
         joined = DisjointSet(self.runs)
         for a, b in combinations(self.runs, 2):
-            if len(self.common(a, b)) >= least_common:
+            if self.common(a, b):
                 joined.merge(a, b)
         return sorted(joined.subsets(), key=min)
 
@@ -124,8 +116,7 @@ class Truth:
 def true_vertex_of_passes(truth: Truth, run: str, time_ns: Any) -> IntArray:
     """(k,) the world vertex that the run was passing at each time, NO_VERTEX for none.
 
-    A time belongs to the nearest detected pass within PASS_TOLERANCE_NS. Times are stamps by the
-    detector's clock. O((k + p) log p).
+    Only detected passes count. Times are stamps by the detector's clock. O((k + p) log p).
     """
     of_run = truth.runs[run]
     seen = np.flatnonzero(of_run.messages > 0)
@@ -133,17 +124,9 @@ def true_vertex_of_passes(truth: Truth, run: str, time_ns: Any) -> IntArray:
     if len(seen) == 0:
         return np.full(len(query), NO_VERTEX, np.int64)
     start, end = of_run.start_ns[seen], of_run.end_ns[seen]
-    after = np.searchsorted(start, query, side="right")
-    before = np.clip(after - 1, 0, len(seen) - 1)
-    after = np.clip(after, 0, len(seen) - 1)
-
-    def away(i: IntArray) -> IntArray:
-        outside: IntArray = np.maximum(np.maximum(start[i] - query, query - end[i]), 0)
-        return outside
-
-    nearest = np.where(away(before) <= away(after), before, after)
-    vertex = of_run.vertex[seen[nearest]]
-    return np.where(away(nearest) <= PASS_TOLERANCE_NS, vertex, NO_VERTEX)
+    last = np.maximum(np.searchsorted(start, query, side="right") - 1, 0)
+    within = (start[last] <= query) & (query <= end[last])
+    return np.where(within, of_run.vertex[seen[last]], NO_VERTEX)
 
 
 def true_vertex_of_nodes(truth: Truth, topomap: TopoMap) -> IntArray:
@@ -193,88 +176,6 @@ def _common_nodes(truth: Truth, map_a: TopoMap, map_b: TopoMap) -> tuple[IntArra
     return in_a, in_b
 
 
-def _rounded(values: Any, decimals: int) -> Any:
-    return (np.round(np.asarray(values, np.float64), decimals) + 0.0).tolist()
-
-
-def _world_to_document(world: World) -> dict[str, Any]:
-    ends = zip(world.source.tolist(), world.target.tolist(), strict=True)
-    return {
-        "kind": world.kind,
-        "vertices": _rounded(world.xy, 3),
-        "edges": [
-            [u, v, _rounded(world.length[i], 3), _rounded(world.paths[i], 3)]
-            for i, (u, v) in enumerate(ends)
-        ],
-    }
-
-
-_PASSES = ("start_ns", "end_ns", "vertex", "messages")
-_DRIVES = ("edge", "start_ns", "end_ns")
-_EVENTS = ("closed_edges", "break_ns", "jump_ns")
-
-
-def _run_to_document(run: RunTruth) -> dict[str, Any]:
-    path = zip(run.path_ns.tolist(), _rounded(run.path, 3), strict=True)
-    passes = {name: getattr(run, name).tolist() for name in _PASSES}
-    return {
-        "world": run.world,
-        "T_world_odom": _rounded(run.T_world_odom, 6),
-        "passes": {**passes, "fault": list(run.fault)},
-        "drives": {name: getattr(run, f"drive_{name}").tolist() for name in _DRIVES},
-        "closed_edges": list(run.closed_edges),
-        "break_ns": list(run.break_ns),
-        "jump_ns": list(run.jump_ns),
-        **({"doors": [list(row) for row in run.doors]} if run.doors else {}),
-        "path": [[t, *pose] for t, pose in path],
-        "settings": dict(run.settings),
-    }
-
-
-def _world_from_document(name: str, doc: Any) -> World:
-    edges = doc["edges"]
-    return World(
-        name=name,
-        kind=doc["kind"],
-        xy=np.array(doc["vertices"], np.float64).reshape(-1, 2),
-        source=np.array([e[0] for e in edges], np.int64),
-        target=np.array([e[1] for e in edges], np.int64),
-        paths=tuple(np.array(e[3], np.float64) for e in edges),
-    )
-
-
-def _run_from_document(name: str, doc: Any) -> RunTruth:
-    passes, drives, path = doc["passes"], doc["drives"], doc["path"]
-    parts: dict[str, Any] = {key: np.array(passes[key], np.int64) for key in _PASSES}
-    parts |= {f"drive_{key}": np.array(drives[key], np.int64) for key in _DRIVES}
-    parts |= {key: tuple(doc[key]) for key in _EVENTS}
-    return RunTruth(
-        name=name,
-        world=doc["world"],
-        T_world_odom=np.array(doc["T_world_odom"], np.float64),
-        fault=tuple(passes["fault"]),
-        path_ns=np.array([row[0] for row in path], np.int64),
-        path=np.array([row[1:] for row in path], np.float64).reshape(-1, 3),
-        doors=tuple(tuple(row) for row in doc.get("doors", ())),
-        settings=doc["settings"],
-        **parts,
-    )
-
-
-def read_truth(path: Path) -> Truth:
-    """The truth of a `truth.json`; DocumentError if it cannot be read or is no such document."""
-    doc = read_json(path)
-    if not isinstance(doc, dict) or doc.get("schema") != TRUTH_SCHEMA:
-        raise DocumentError(f"{path}: is not a document of schema {TRUTH_SCHEMA}")
-    try:
-        worlds = {key: _world_from_document(key, w) for key, w in doc["worlds"].items()}
-        runs = {key: _run_from_document(key, r) for key, r in doc["runs"].items()}
-        changes = tuple(WorldChange(**change) for change in doc.get("changes", ()))
-    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
-        raise DocumentError(f"{path}: {type(error).__name__}: {error}") from error
-    return Truth(worlds, runs, changes)
-
-
 def write_truth(path: Path, truth: Truth) -> None:
     """Write `truth.json`."""
     pairs = []
@@ -285,9 +186,50 @@ def write_truth(path: Path, truth: Truth) -> None:
             pairs.append({"a": a, "b": b, "common": truth.common(a, b), "transform": transform})
     document = {
         "schema": TRUTH_SCHEMA,
-        "worlds": {name: _world_to_document(w) for name, w in truth.worlds.items()},
-        "runs": {name: _run_to_document(truth.runs[name]) for name in sorted(truth.runs)},
+        "worlds": {name: _world_document(w) for name, w in truth.worlds.items()},
+        "runs": {name: _run_document(truth.runs[name]) for name in sorted(truth.runs)},
         **({"changes": [asdict(c) for c in truth.changes]} if truth.changes else {}),
         "pairs": pairs,
     }
     write_json(path, document)
+
+
+def _world_document(world: World) -> dict[str, Any]:
+    columns = (world.source.tolist(), world.target.tolist(), world.length, world.paths)
+    return {
+        "kind": world.kind,
+        "vertices": _rounded(world.xy, 3),
+        "edges": [
+            [u, v, _rounded(length, 3), _rounded(path, 3)]
+            for u, v, length, path in zip(*columns, strict=True)
+        ],
+    }
+
+
+def _run_document(run: RunTruth) -> dict[str, Any]:
+    path = zip(run.path_ns.tolist(), _rounded(run.path, 3), strict=True)
+    return {
+        "world": run.world,
+        "T_world_odom": _rounded(run.T_world_odom, 6),
+        "passes": {
+            "start_ns": run.start_ns.tolist(),
+            "end_ns": run.end_ns.tolist(),
+            "vertex": run.vertex.tolist(),
+            "messages": run.messages.tolist(),
+            "fault": list(run.fault),
+        },
+        "drives": {
+            "edge": run.drive_edge.tolist(),
+            "start_ns": run.drive_start_ns.tolist(),
+            "end_ns": run.drive_end_ns.tolist(),
+        },
+        "closed_edges": list(run.closed_edges),
+        "break_ns": list(run.break_ns),
+        "jump_ns": list(run.jump_ns),
+        "path": [[t, *pose] for t, pose in path],
+        "settings": dict(run.settings),
+    }
+
+
+def _rounded(values: Any, decimals: int) -> Any:
+    return (np.round(np.asarray(values, np.float64), decimals) + 0.0).tolist()

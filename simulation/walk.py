@@ -12,7 +12,7 @@ from scipy.cluster.hierarchy import DisjointSet
 from ..topology.se2 import wrap
 from .chance import Chance
 from .settings import Faults, WalkSettings
-from .world import World
+from .world import CLEAR_M, World
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,12 +54,14 @@ def explore(
     walker = _Walker(world, open_edges, starts[chance.index(len(starts))])
     while len(walker.driven) < settings.coverage * len(open_edges):
         if len(walker.known) > 6 and chance.one_happens(settings.detour_rate):
-            walker.go_to(_some_known(walker, chance))
-        elif not walker.try_here(chance) and not walker.go_to_nearest_untried():
+            walker.drive_to(_some_known(walker, chance))
+        elif not walker.try_here(chance) and not walker.drive_to(
+            {vertex for vertex in walker.known if walker.untried(vertex)}
+        ):
             break
     stop = walker.way_m * (1 + settings.revisit_share)
     while walker.way_m < stop and len(walker.known) > 1:
-        walker.go_to(_some_known(walker, chance))
+        walker.drive_to(_some_known(walker, chance))
     return _with_turns_back(world, walker.legs, faults.turn_back_rate, chance), closed
 
 
@@ -82,9 +84,9 @@ def _closed(world: World, inside: list[int], share: float, chance: Chance) -> se
     return closed
 
 
-def _some_known(walker: _Walker, chance: Chance) -> int:
+def _some_known(walker: _Walker, chance: Chance) -> set[int]:
     options = sorted(walker.known - {walker.here})
-    return options[chance.index(len(options))]
+    return {options[chance.index(len(options))]}
 
 
 def _with_turns_back(world: World, legs: list[Leg], rate: float, chance: Chance) -> list[Leg]:
@@ -94,7 +96,8 @@ def _with_turns_back(world: World, legs: list[Leg], rate: float, chance: Chance)
     for leg, turn, part in zip(legs, turns.tolist(), parts.tolist(), strict=True):
         length = float(world.length[leg.edge])
         if turn and length > 5.0:
-            way = float(np.round(2.4 + part * (length - 4.6), 3))
+            least = 2.4
+            way = float(np.round(least + part * (length - least - CLEAR_M), 3))
             out.append(Leg(leg.edge, leg.source, leg.target, way))
         out.append(leg)
     return out
@@ -125,47 +128,27 @@ class _Walker:
         options = self.untried(self.here)
         if not options:
             return False
-        ahead = self._heading_ahead()
-        turns = np.array([0.0 if ahead is None else wrap(h - ahead) for _, _, h in options])
+        came_by = self.legs[-1].edge if self.legs else None
+        back = [h for e, _, h in self.world.ends(self.here) if e == came_by]
+        turns = np.array([wrap(h - (back[0] + np.pi)) if back else 0.0 for _, _, h in options])
         edge, target, _ = options[chance.weighted_index(1.3 + np.cos(np.round(turns, 6)))]
         self.go(edge, target)
         return True
 
-    def _heading_ahead(self) -> float | None:
-        if not self.legs:
-            return None
-        came_by = self.legs[-1].edge
-        return next(h + np.pi for e, _, h in self.world.ends(self.here) if e == came_by)
-
-    def go_to_nearest_untried(self) -> bool:
-        """Drive to the nearest known vertex with an undriven corridor; False if there is none."""
-        return self._drive({v for v in self.known if self.untried(v)})
-
-    def go_to(self, vertex: int) -> None:
-        """Drive the shortest known path to a vertex."""
-        self._drive({vertex})
-
-    def _drive(self, goals: set[int]) -> bool:
-        """Drive to the nearest goal by Dijkstra over the corridors driven so far; False if none is
-        reached."""
-        reached, came = {self.here: 0.0}, dict[int, tuple[int, int]]()
-        heap = [(0.0, self.here)]
+    def drive_to(self, goals: set[int]) -> bool:
+        """Drive to the nearest goal but here by Dijkstra over the corridors driven so far; False if
+        none is reached."""
+        reached = {self.here: 0.0}
+        heap: list[tuple[float, int, tuple[tuple[int, int], ...]]] = [(0.0, self.here, ())]
         while heap:
-            way, vertex = heapq.heappop(heap)
-            if way > reached[vertex]:
-                continue
-            if vertex in goals and vertex != self.here:
-                steps = []
-                while vertex != self.here:
-                    edge, before = came[vertex]
-                    steps.append((edge, vertex))
-                    vertex = before
-                for edge, target in reversed(steps):
+            way, vertex, steps = heapq.heappop(heap)
+            if vertex in goals and steps:
+                for edge, target in steps:
                     self.go(edge, target)
                 return True
             for edge, other, _ in self.world.ends(vertex):
                 new = way + float(self.world.length[edge])
                 if edge in self.driven and new < reached.get(other, np.inf):
-                    reached[other], came[other] = new, (edge, vertex)
-                    heapq.heappush(heap, (new, other))
+                    reached[other] = new
+                    heapq.heappush(heap, (new, other, (*steps, (edge, other))))
         return False

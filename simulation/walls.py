@@ -10,7 +10,7 @@ from ..topology.arrays import FloatArray, IntArray
 from ..topology.frozen import freeze
 from ..topology.polyline import densely, simplify
 from ..topology.se2 import wrap
-from .world import World, polyline_at
+from .world import COORDINATE_M, ROOM_M, World, polyline_at
 
 ROUND = 12
 """Most corners of a junction's polygon, and those of a round one."""
@@ -18,17 +18,8 @@ ROUND = 12
 BEND_M = 0.02
 """Tolerance to which curved corridors are approximated by straight pieces."""
 
-LARGEST_ROOM_M = 1.5
-"""Half the side of a room at a dead end, at most."""
-
 THINNEST_WALL_M = 0.15
 """Least thickness of a wall between rooms and corridors."""
-
-INSIDE_M = 1e-6
-"""Depth within another part of the free space from which an edge is no wall."""
-
-SHORTEST_WALL_M = 1e-3
-"""Shorter walls are dropped; coordinates of worlds are rounded to this."""
 
 DOORWAY_M = 0.25
 """Distance of a door into its corridor from the junction's polygon."""
@@ -84,14 +75,13 @@ def free_space(world: World, corridor_m: float) -> list[FloatArray]:
     return parts
 
 
-def doorways(world: World, corridor_m: float) -> tuple[Segments, IntArray, IntArray]:
-    """Possible doors: a segment across each end of every corridor, with its corridor and its
-    vertex.
+def doorways(world: World, corridor_m: float) -> tuple[Segments, IntArray]:
+    """Possible doors: a segment across each end of every corridor, with its corridor.
 
     A door is placed where the corridor no longer overlaps its neighbours at the junction.
     """
     half = 0.5 * corridor_m
-    a, b, edges, vertices = [], [], [], []
+    a, b, edges = [], [], []
     for edge in range(len(world.source)):
         for vertex in (int(world.source[edge]), int(world.target[edge])):
             if world.branches.counts[vertex] < 2:
@@ -104,9 +94,8 @@ def doorways(world: World, corridor_m: float) -> tuple[Segments, IntArray, IntAr
             a.append(at[0] - half * across)
             b.append(at[0] + half * across)
             edges.append(edge)
-            vertices.append(vertex)
     doors = Segments(np.array(a).reshape(-1, 2), np.array(b).reshape(-1, 2))
-    return doors, np.array(edges, np.int64), np.array(vertices, np.int64)
+    return doors, np.array(edges, np.int64)
 
 
 def _to_neighbour(world: World, edge: int, vertex: int) -> float:
@@ -160,7 +149,7 @@ def _square(centre: FloatArray, half: float, heading: float) -> FloatArray:
 
 def _at_right_angles(headings: FloatArray) -> bool:
     quarter = np.asarray(wrap(4 * (headings - headings[0])))
-    return bool(np.all(np.abs(quarter) < 4e-3))
+    return bool(np.all(np.abs(quarter) < 4 * COORDINATE_M))
 
 
 def _room_for(world: World, vertex: int, half: float) -> float:
@@ -177,14 +166,15 @@ def _room_for(world: World, vertex: int, half: float) -> float:
     to_corridor = min([*others, own]) - half - THINNEST_WALL_M
     to_room = 0.5 * (float(away.min(initial=np.inf)) - THINNEST_WALL_M)
     # By its corners, which are √2 times as far out as its walls.
-    return min(LARGEST_ROOM_M, float(min(to_corridor, to_room) / np.sqrt(2)))
+    return min(0.5 * ROOM_M, float(min(to_corridor, to_room) / np.sqrt(2)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _HalfPlanes:
     """Convex polygons as outward normals (p, ROUND, 2) and offsets (p, ROUND), with bounding boxes.
 
-    A point is inside if n·x ≤ c for all sides; missing sides are 0·x ≤ 1.
+    A point is inside if n·x ≤ c for all sides; missing sides are 0·x ≤ 1. The outline itself is not
+    inside.
     """
 
     normal: FloatArray
@@ -199,7 +189,7 @@ class _HalfPlanes:
             side = np.roll(polygon, -1, axis=0) - polygon
             outwards = np.column_stack([side[:, 1], -side[:, 0]]) / np.hypot(*side.T)[:, None]
             normal[k, : len(polygon)] = outwards
-            offset[k, : len(polygon)] = np.sum(outwards * polygon, axis=1) - INSIDE_M
+            offset[k, : len(polygon)] = np.sum(outwards * polygon, axis=1) - 1e-6
         low, high = (np.array([f(p, axis=0) for p in polygons]) for f in (np.min, np.max))
         return cls(normal, offset, low, high)
 
@@ -218,7 +208,7 @@ def _outside(start: FloatArray, end: FloatArray, inside: _HalfPlanes) -> FloatAr
     hidden = (t0 < t1) & ~(parallel & (depth < 0)).any(axis=1)
     ends = np.array(_left_open(t0[hidden].tolist(), t1[hidden].tolist())).reshape(-1, 2, 1)
     parts: FloatArray = start + ends * (end - start)
-    long = np.hypot(*(parts[:, 1] - parts[:, 0]).T) > SHORTEST_WALL_M
+    long = np.hypot(*(parts[:, 1] - parts[:, 0]).T) > COORDINATE_M
     return np.asarray(parts[long])
 
 

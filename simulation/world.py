@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import defaultdict
+from collections.abc import Iterable, Sequence, Set
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..topology.arrays import BoolArray, FloatArray, IntArray
+from ..topology.arrays import FloatArray, IntArray
 from ..topology.connected import connected
 from ..topology.frozen import freeze, frozen_rows
 from ..topology.polyline import way_of
@@ -17,8 +18,19 @@ from ..topology.se2 import wrap
 BRANCH_REACH_M = 0.7
 """A branch's heading points to its corridor at this distance."""
 
+CLEAR_M = 2.2
+"""Where a robot turns round, and the detector invents junctions, in a corridor: at least this far
+from its end."""
+
 COORDINATE_DECIMALS = 3
-"""Millimetres, so that worlds are the same on every processor."""
+COORDINATE_M: float = 10**-COORDINATE_DECIMALS
+"""Coordinates are rounded to millimetres, so that worlds are the same on every processor."""
+
+ROOM_M = 3.0
+"""Depth of rooms, and distance between aisles of rows."""
+
+STRAIGHT_RAD = 0.05
+"""Largest deviation from straight at which a vertex of two straight corridors is no junction."""
 
 Link = tuple[int, int, FloatArray]
 """Two vertices and the polyline (k, 2) between them, from which worlds are built."""
@@ -112,17 +124,17 @@ def straight(xy: FloatArray, u: int, v: int) -> Link:
     return u, v, np.array([xy[u], xy[v]])
 
 
-def without_bends(links: Sequence[Link], is_junction: BoolArray) -> list[Link]:
-    """The links with every vertex of degree 2 that is no junction replaced by a bend.
+def without_bends(links: Sequence[Link], corners: Set[int] = frozenset()) -> list[Link]:
+    """The links with every vertex of degree 2 but for some corners replaced by a bend.
 
     A vertex is kept where merging its corridors would make a self-loop. O(links).
     """
     joined: dict[int, Link] = dict(enumerate(links))
-    at: list[set[int]] = [set() for _ in is_junction]
+    at: dict[int, set[int]] = defaultdict(set)
     for i, (u, v, _) in joined.items():
         at[u].add(i)
         at[v].add(i)
-    for vertex in np.flatnonzero(~is_junction).tolist():
+    for vertex in sorted(at.keys() - corners):
         if len(at[vertex]) != 2:
             continue
         first, second = sorted(at[vertex])
@@ -141,6 +153,21 @@ def _towards(link: Link, vertex: int) -> tuple[int, FloatArray]:
     """The other end of a link, and its path from there to `vertex`."""
     u, v, path = link
     return (u, path) if v == vertex else (v, path[::-1])
+
+
+def straight_world(name: str, kind: str, xy: FloatArray, pairs: Iterable[Sequence[int]]) -> World:
+    """A world of straight corridors between pairs of points; two in line are joined into one."""
+    links = [straight(xy, u, v) for u, v in pairs]
+    leaving: dict[int, list[float]] = defaultdict(list)
+    for u, v, path in links:
+        leaving[u].append(polyline_heading(path))
+        leaving[v].append(polyline_heading(path[::-1]))
+    corners = {
+        vertex
+        for vertex, h in leaving.items()
+        if len(h) == 2 and abs(wrap(h[0] - h[1] + np.pi)) >= STRAIGHT_RAD
+    }
+    return world_of_links(name, kind, xy, without_bends(links, corners))
 
 
 def world_of_links(name: str, kind: str, xy: FloatArray, links: Sequence[Link]) -> World:

@@ -6,7 +6,7 @@ overlapping runs.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 
 import numpy as np
 from scipy.cluster.hierarchy import DisjointSet
@@ -15,10 +15,27 @@ from ..topology.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from ..topology.se2 import wrap
 from .chance import Chance
 from .tiles import tiles_world
-from .world import Link, World, polyline_heading, straight, without_bends, world_of_links
+from .world import (
+    ROOM_M,
+    Link,
+    World,
+    polyline_heading,
+    straight_world,
+    without_bends,
+    world_of_links,
+)
 
-STRAIGHT_RAD = 0.05
-"""Largest deviation from straight at which a vertex of two corridors is no junction."""
+LOOPS = 0.7
+"""Share of the possible streets that close a loop that are built, in cities and organic worlds."""
+
+COPIES_DIFFER = 0.02
+"""Relative standard deviation of lengths that are the same in an office's floor plan."""
+
+STREET_M = 8.0
+"""Longest street of organic worlds, and most between rows of mazes."""
+
+BOW = 0.14
+"""Largest distance of a curved street from its chord, as a share of its length."""
 
 
 def maze_world(junctions: int, seed: int, aspect: float = 1.0) -> World:
@@ -28,10 +45,10 @@ def maze_world(junctions: int, seed: int, aspect: float = 1.0) -> World:
     Rows and columns are 2.5 to 8 m apart. About `junctions` vertices of one to four branches.
     """
     chance = Chance("maze", seed)
-    x, y, walls = _lattice(junctions / 0.86, aspect, 2, (2.5, 8.0), chance)
+    x, y, walls = _lattice(junctions / 0.86, aspect, 2, (2.5, STREET_M), chance)
     xy = np.column_stack([np.tile(x, len(y)), np.repeat(y, len(x))])
     opened = _growing_tree(walls, len(xy), chance) | chance.happens(0.25, len(walls))
-    return _straight_world("maze", junctions, seed, xy, walls[opened].tolist())
+    return straight_world(f"maze-{junctions}-{seed}", "maze", xy, walls[opened].tolist())
 
 
 def _lattice(
@@ -80,26 +97,6 @@ def _growing_tree(walls: IntArray, cells: int, chance: Chance) -> BoolArray:
     return opened
 
 
-def _straight_world(
-    kind: str, junctions: int, seed: int, xy: FloatArray, pairs: Iterable[Sequence[int]]
-) -> World:
-    """A world of straight corridors between pairs of points; two in line are joined into one."""
-    links = [straight(xy, u, v) for u, v in pairs]
-    links = without_bends(links, ~_goes_straight(len(xy), links))
-    return world_of_links(f"{kind}-{junctions}-{seed}", kind, xy, links)
-
-
-def _goes_straight(count: int, links: list[Link]) -> BoolArray:
-    """(count,) vertices of exactly two corridors in opposite directions."""
-    leaving: list[list[float]] = [[] for _ in range(count)]
-    for u, v, path in links:
-        leaving[u].append(polyline_heading(path))
-        leaving[v].append(polyline_heading(path[::-1]))
-    return np.array(
-        [len(h) == 2 and abs(wrap(h[0] - h[1] + np.pi)) < STRAIGHT_RAD for h in leaving]
-    )
-
-
 def office_world(junctions: int, seed: int, aspect: float = 1.0) -> World:
     """A building of wings with one floor plan, along a main corridor.
 
@@ -115,7 +112,8 @@ def office_world(junctions: int, seed: int, aspect: float = 1.0) -> World:
     building = _Building(chance)
     last: int | None = None
     for pair in range((wings + 1) // 2):
-        x_main = pair * 21.0 + np.cumsum([0.0, 9.0]) * (1 + chance.one_normal(0.02))
+        apart = 3 * ROOM_M * (1 + chance.one_normal(COPIES_DIFFER))
+        x_main = pair * 7 * ROOM_M + np.array([0.0, apart])
         feet = []
         for x in x_main.tolist():
             last = building.vertex(x, 0.0, last)
@@ -124,7 +122,8 @@ def office_world(junctions: int, seed: int, aspect: float = 1.0) -> World:
             doors = plan ^ chance.happens(1 / 16, plan.size).reshape(plan.shape)
             doors[..., rooms // 2] = False
             building.add_wing(feet, x_main, side, doors)
-    return _straight_world("office", junctions, seed, np.array(building.xy), building.links)
+    name = f"office-{junctions}-{seed}"
+    return straight_world(name, "office", np.array(building.xy), building.links)
 
 
 class _Building:
@@ -147,8 +146,8 @@ class _Building:
 
         The wing on the other side is rotated by 180°, so that its corridors are swapped.
         """
-        room = 3.0
-        along = side * np.cumsum(4.2 * (1 + self.chance.normal(0.02, doors.shape[2] + 1)))
+        lengths = 4.2 * (1 + self.chance.normal(COPIES_DIFFER, doors.shape[2] + 1))
+        along = side * np.cumsum(lengths)
         joins: list[list[int]] = []
         for corridor in (0, 1):
             foot = corridor if side > 0 else 1 - corridor
@@ -160,8 +159,8 @@ class _Building:
                     joins[-1].append(here)
                 for wall, direction in enumerate((-side, side)):
                     if doors[corridor, wall, number]:
-                        away = direction * room * (1 + self.chance.one_normal(0.02))
-                        self.vertex(x + away, y, here)
+                        depth = ROOM_M * (1 + self.chance.one_normal(COPIES_DIFFER))
+                        self.vertex(x + direction * depth, y, here)
             joins[-1].append(self.vertex(x, float(along[-1]), here))
         self.links.extend(zip(*joins, strict=True))
 
@@ -182,9 +181,7 @@ def organic_world(junctions: int, seed: int, aspect: float = 1.0) -> World:
     pairs = _thinned(xy, pairs, chance)
     paths = _curved(xy, pairs, chance)
     links = [(u, v, path) for (u, v), path in zip(pairs.tolist(), paths, strict=True)]
-    degree = np.bincount(pairs.ravel(), minlength=len(xy))
-    links = without_bends(links, degree != 2)
-    return world_of_links(f"organic-{junctions}-{seed}", "organic", xy, links)
+    return world_of_links(f"organic-{junctions}-{seed}", "organic", xy, without_bends(links))
 
 
 def city_world(junctions: int, seed: int, aspect: float = 1.0) -> World:
@@ -198,20 +195,18 @@ def city_world(junctions: int, seed: int, aspect: float = 1.0) -> World:
     x, y, streets = _lattice(junctions / 0.9, aspect, 3, (6.0, 12.0), chance)
     z = np.tile(x - x.mean(), len(y)) + 1j * np.repeat(y - y.mean(), len(x))
     z = z + 0.5 * (chance.normal(1.0, len(z)) + 1j * chance.normal(1.0, len(z)))
-    bend = 0.22 / float(np.abs(z).max()) * np.exp(1j * chance.uniform(-np.pi, np.pi, 1)[0])
+    bend = 0.22 / float(np.abs(z).max()) * np.exp(1j * chance.around(np.pi, 1)[0])
 
     def bent(flat: ComplexArray) -> FloatArray:
         w = flat + bend * flat**2
         return np.column_stack([w.real, w.imag])
 
-    built = _growing_tree(streets, len(z), chance) | chance.happens(0.7, len(streets))
+    built = _growing_tree(streets, len(z), chance) | chance.happens(LOOPS, len(streets))
     way = np.linspace(0.0, 1.0, 6)
     links: list[Link] = [
         (u, v, bent(z[u] + way * (z[v] - z[u]))) for u, v in streets[built].tolist()
     ]
-    degree = np.bincount(streets[built].ravel(), minlength=len(z))
-    links = without_bends(links, degree != 2)
-    return world_of_links(f"city-{junctions}-{seed}", "city", bent(z), links)
+    return world_of_links(f"city-{junctions}-{seed}", "city", bent(z), without_bends(links))
 
 
 def rows_world(junctions: int, seed: int, aspect: float = 1.0) -> World:
@@ -223,18 +218,18 @@ def rows_world(junctions: int, seed: int, aspect: float = 1.0) -> World:
     chance = Chance("rows", seed)
     ways = 2 + int(chance.one_happens(0.5))
     aisles = max(3, round(junctions / ways))
-    x = np.cumsum(3.0 * (1 + chance.normal(0.01, aisles)))
-    y = 30.0 * np.arange(ways)
+    x = np.cumsum(ROOM_M * (1 + chance.normal(0.01, aisles)))
+    y = 10 * ROOM_M * np.arange(ways)
     xy = np.column_stack([np.tile(x, ways), np.repeat(y, aisles)])
     across, along = _neighbours(aisles, ways)
-    open_to_drive = ~chance.happens(0.04, len(along))
+    open_to_drive = ~chance.happens(1 / 25, len(along))
     pairs = np.concatenate([across, along[open_to_drive]])
-    return _straight_world("rows", junctions, seed, xy, pairs.tolist())
+    return straight_world(f"rows-{junctions}-{seed}", "rows", xy, pairs.tolist())
 
 
 def _scattered(count: int, aspect: float, chance: Chance) -> FloatArray:
     """(count, 2) points in a rectangle, at least 4.8 m and about 7.5 m apart."""
-    area = count * 7.5**2 * 0.9
+    area = 50.625 * count
     size = np.array([np.sqrt(area * aspect), np.sqrt(area / aspect)])
     chosen = np.zeros((0, 2))
     # Dart throwing; the rectangle grows by 2 % where a whole batch of darts finds too little room.
@@ -257,7 +252,7 @@ def _gabriel(xy: FloatArray, pairs: IntArray) -> IntArray:
     middle = 0.5 * (xy[pairs[:, 0]] + xy[pairs[:, 1]])
     nearest, _ = cKDTree(xy).query(middle)
     radius = 0.5 * np.hypot(*(xy[pairs[:, 0]] - xy[pairs[:, 1]]).T)
-    kept: IntArray = pairs[(nearest >= radius - 1e-9) & (radius < 8.0)]
+    kept: IntArray = pairs[(nearest >= radius - 1e-9) & (radius < STREET_M)]
     return kept
 
 
@@ -271,8 +266,8 @@ def _thinned(xy: FloatArray, pairs: IntArray, chance: Chance) -> IntArray:
     step = xy[pairs[:, 1]] - xy[pairs[:, 0]]
     heading = np.arctan2(step[:, 1], step[:, 0])
     headings: list[list[float]] = [[] for _ in xy]
-    wanted = chance.happens(0.7, len(pairs))
-    order = np.argsort(np.hypot(*step.T) * chance.uniform(0.6, 1.4, len(pairs)), kind="stable")
+    wanted = chance.happens(LOOPS, len(pairs))
+    order = np.argsort(np.hypot(*step.T) * (1 + chance.around(0.4, len(pairs))), kind="stable")
     tree, loops = [], []
     for i in order.tolist():
         u, v = pairs[i].tolist()
@@ -303,7 +298,7 @@ def _curved(xy: FloatArray, pairs: IntArray, chance: Chance) -> list[FloatArray]
     from scipy.spatial import cKDTree
 
     t = np.linspace(0.0, 1.0, 13)
-    bows = chance.uniform(-0.14, 0.14, len(pairs))
+    bows = chance.around(BOW, len(pairs))
     paths = [np.array([xy[u], xy[v]]) for u, v in pairs.tolist()]
     leaving: list[dict[int, float]] = [{} for _ in xy]
     for i, (u, v) in enumerate(pairs.tolist()):
@@ -324,7 +319,7 @@ def _curved(xy: FloatArray, pairs: IntArray, chance: Chance) -> list[FloatArray]
             and _clear(back, [h for k, h in leaving[v].items() if k != i], 40)
         ):
             continue
-        near = tree.query_ball_point(bent[3:-3], 1.2 + 0.14 * 8)
+        near = tree.query_ball_point(bent[3:-3], 1.2 + BOW * STREET_M)
         if {int(owner[k]) for row in near for k in row} <= {i, *leaving[u], *leaving[v]}:
             paths[i] = bent
             leaving[u][i], leaving[v][i] = out, back

@@ -15,12 +15,13 @@ import errno
 import os
 import sqlite3
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from functools import cache, partial
 from itertools import cycle
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import MappingProxyType, SimpleNamespace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -35,9 +36,6 @@ if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
 
 TRUTH_FILE = "truth.json"
-METADATA_VERSION: Literal[9] = 9
-"""Version of metadata.yaml as in ROS 2 Jazzy."""
-
 TOPICS: Mapping[str, str] = {
     "/odom": "nav_msgs/msg/Odometry",
     "/junctions": "geometry_msgs/msg/PoseArray",
@@ -50,8 +48,8 @@ LASER_FRAME = "laser"
 
 COVARIANCE = np.diag([1e-3, 1e-3, 1e6, 1e6, 1e6, 1e-2]).ravel()
 
-Message = tuple[int, int, str, bytes]
-"""Log time and stamp [ns], topic, and the serialized message."""
+Message = tuple[int, str, bytes]
+"""Log time [ns], topic, and the serialized message."""
 
 
 # Messages.
@@ -91,7 +89,7 @@ def messages_of(simulated: SimulatedRun, ros: str) -> list[Message]:
         out += _logged("/junctions", run.detections.time_ns, seen_late, _detections(run, ros))
     if scans is not None:
         late = Chance("laser latency", len(scans)).uniform(1_000, 9_000, len(scans))
-        swept_us, stamp_ns = round(scans.settings.sweep_s * 1e6), simulated.scans_ns
+        swept_us, stamp_ns = round(scans.settings.sweep_s * 10**6), simulated.scans_ns
         out += _logged("/scan", stamp_ns, swept_us + late, _scans(scans, stamp_ns, ros))
         first_ns = run.odometry.time_ns[:1]
         mount = _mount(run, scans, int(first_ns[0]), ros)
@@ -103,8 +101,7 @@ def _logged(
     topic: str, stamp_ns: IntArray, late_us: FloatArray, payloads: list[bytes]
 ) -> list[Message]:
     log_ns = stamp_ns + late_us.astype(np.int64) * 1000
-    times = zip(log_ns.tolist(), stamp_ns.tolist(), payloads, strict=True)
-    return [(log, stamp, topic, payload) for log, stamp, payload in times]
+    return [(log, topic, payload) for log, payload in zip(log_ns.tolist(), payloads, strict=True)]
 
 
 def _quaternion(yaw: FloatArray) -> FloatArray:
@@ -213,36 +210,32 @@ def _write_mcap(path: Path, simulated: SimulatedRun) -> None:
             text, _ = store.generate_msgdef(TOPICS[topic], ros_version=2)
             schema = writer.register_schema(TOPICS[topic], "ros2msg", text.encode())
             channels[topic] = writer.register_channel(topic, "cdr", schema)
-        for sequence, (log_ns, stamp_ns, topic, payload) in enumerate(
-            messages_of(simulated, "ros2")
-        ):
-            writer.add_message(channels[topic], log_ns, payload, stamp_ns, sequence)
+        for log_ns, topic, payload in messages_of(simulated, "ros2"):
+            writer.add_message(channels[topic], log_ns, payload, log_ns)
         writer.finish()  # type: ignore[no-untyped-call]
 
 
-def _write_rosbag(path: Path, simulated: SimulatedRun, storage: str | None) -> None:
+def _write_bag(path: Path, simulated: SimulatedRun, storage: str | None) -> None:
     """A ROS 1 bag, or the folder of a ROS 2 bag of a storage."""
+    from rosbags import rosbag1, rosbag2
+
     writer: Any
     if storage is None:
-        from rosbags.rosbag1 import Writer as BagWriter
-
-        writer = BagWriter(path)
-        writer.set_compression(BagWriter.CompressionFormat.LZ4)
+        writer = rosbag1.Writer(path)
+        writer.set_compression(writer.CompressionFormat.LZ4)
     else:
-        from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
-
-        plugin = StoragePlugin[storage]
-        writer = Writer(path, version=METADATA_VERSION, storage_plugin=plugin)
-        if plugin is StoragePlugin.MCAP:
-            writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+        plugin, latest = rosbag2.StoragePlugin[storage], rosbag2.Writer.VERSION_LATEST
+        writer = rosbag2.Writer(path, version=latest, storage_plugin=plugin)
+        if storage == "MCAP":
+            zstd = rosbag2.CompressionFormat.ZSTD
+            writer.set_compression(rosbag2.CompressionMode.STORAGE, zstd)
     ros = "ros1" if storage is None else "ros2"
-    store = typestore(ros)
     with writer:
         links = {
-            topic: writer.add_connection(topic, TOPICS[topic], typestore=store)
+            topic: writer.add_connection(topic, TOPICS[topic], typestore=typestore(ros))
             for topic in topics_of(simulated)
         }
-        for log_ns, _, topic, payload in messages_of(simulated, ros):
+        for log_ns, topic, payload in messages_of(simulated, ros):
             writer.write(links[topic], log_ns, payload)
 
 
@@ -250,14 +243,11 @@ FORMATS: Mapping[str, tuple[tuple[str, ...], Callable[[Path, SimulatedRun], None
     MappingProxyType(
         {
             "mcap": (("{0}.mcap",), _write_mcap),
-            "bag": (("{0}.bag",), partial(_write_rosbag, storage=None)),
-            "db3": (
-                ("{0}/{0}.db3", "{0}/metadata.yaml"),
-                partial(_write_rosbag, storage="SQLITE3"),
-            ),
+            "bag": (("{0}.bag",), partial(_write_bag, storage=None)),
+            "db3": (("{0}/{0}.db3", "{0}/metadata.yaml"), partial(_write_bag, storage="SQLITE3")),
             "ros2-mcap": (
                 ("{0}/{0}.mcap", "{0}/metadata.yaml"),
-                partial(_write_rosbag, storage="MCAP"),
+                partial(_write_bag, storage="MCAP"),
             ),
         }
     )
@@ -268,8 +258,8 @@ FORMATS: Mapping[str, tuple[tuple[str, ...], Callable[[Path, SimulatedRun], None
 def write_run(folder: Path, simulated: SimulatedRun, container: str = "mcap") -> Path:
     """Write the log of one run into `folder`, named after the run; returns its path.
 
-    An existing log of that name is replaced. container: of FORMATS. Raises OSError with the log's
-    path if it cannot be written.
+    Existing logs of that name in any container are replaced. container: of FORMATS. Raises OSError
+    with the log's path if it cannot be written.
     """
     run, (files, write) = simulated.run.name, FORMATS[container]
     path = folder / Path(files[0].format(run)).parts[0]
@@ -277,6 +267,11 @@ def write_run(folder: Path, simulated: SimulatedRun, container: str = "mcap") ->
     try:
         with TemporaryDirectory(prefix=".topobatch-", suffix=".tmp", dir=folder) as made:
             write(Path(made, path.name), simulated)
+            for others, _ in FORMATS.values():
+                for file in others:
+                    Path(folder, file.format(run)).unlink(missing_ok=True)
+            with suppress(OSError):  # the folder of such a log, now empty
+                (folder / run).rmdir()
             for file in files:
                 target = folder / file.format(run)
                 target.parent.mkdir(exist_ok=True)
@@ -288,39 +283,19 @@ def write_run(folder: Path, simulated: SimulatedRun, container: str = "mcap") ->
     return path
 
 
-def _remove_others(folder: Path, run: str, container: str) -> None:
-    """Remove what `write_run` left of a run in other containers; links and whatever else a folder
-    of that name holds stay."""
-    bag = folder / run
-    for file in {file for files, _ in FORMATS.values() for file in files} - {
-        *FORMATS[container][0]
-    }:
-        path = folder / file.format(run)
-        if path.is_file() and not path.is_symlink() and not bag.is_symlink():
-            path.unlink()
-    if bag.is_dir() and not bag.is_symlink() and not any(bag.iterdir()):
-        bag.rmdir()
-
-
 def write_scenario(
     scenario: Scenario,
     out: Path,
     formats: Sequence[str] = ("mcap",),
-    progress: Callable[[Path], object] | None = None,
-    *,
-    alone: bool = False,
+    progress: Callable[[Path], object] = lambda path: None,
 ) -> list[Path]:
     """Write every run's log and `truth.json` into the folder `out`; returns the paths of the logs.
 
     Several formats are assigned to the runs in turn. `progress` is called with each finished log.
-    alone: remove logs of these runs in other formats that were written there before.
     """
     paths = []
     for simulated, container in zip(scenario.simulated, cycle(formats), strict=False):
         paths.append(write_run(out, simulated, container))
-        if alone:
-            _remove_others(out, simulated.run.name, container)
-        if progress is not None:
-            progress(paths[-1])
+        progress(paths[-1])
     write_truth(out / TRUTH_FILE, scenario.truth)
     return paths

@@ -23,7 +23,6 @@ from topobatch.simulation.truth import (
     MIXED,
     Truth,
     placement_error,
-    read_truth,
     true_vertex_of_nodes,
     true_vertex_of_passes,
 )
@@ -39,7 +38,7 @@ OVERLAPPING = (("maze-1", "maze-2"), ("maze-2", "maze-3"))
 
 @pytest.fixture(scope="module")
 def truth() -> Truth:
-    return read_truth(SAMPLES / "truth.json")
+    return sample_scenario().truth
 
 
 @pytest.fixture(scope="module")

@@ -7,11 +7,9 @@ import sys
 from itertools import combinations
 from pathlib import Path
 
-import pytest
 from rosbags.highlevel import AnyReader
 
 from topobatch.simulation.samples import sample_scenario
-from topobatch.simulation.truth import Truth, read_truth
 
 SAMPLES = Path(__file__).parents[2] / "sample_logs"
 LOGS = ("maze-1.mcap", "maze-2.bag", "maze-3", "office-1.mcap", "streets-1.mcap")
@@ -29,11 +27,6 @@ def _messages(log: Path) -> list[tuple[str, str, str, int, bytes]]:
         return [(c.topic, c.msgtype, c.digest, t, bytes(raw)) for c, t, raw in reader.messages()]
 
 
-@pytest.fixture(scope="module")
-def truth() -> Truth:
-    return read_truth(SAMPLES / "truth.json")
-
-
 def test_one_command_writes_the_same_messages_anew(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "topobatch.simulation.samples", str(tmp_path)]
     subprocess.run(command, check=True, capture_output=True, cwd=tmp_path)
@@ -45,9 +38,10 @@ def test_one_command_writes_the_same_messages_anew(tmp_path: Path) -> None:
         assert made == _messages(SAMPLES / log), log
 
 
-def test_the_figures_of_the_readme_are_those_of_the_logs(truth: Truth) -> None:
+def test_the_figures_of_the_readme_are_those_of_the_logs() -> None:
     lines = (SAMPLES / "README.md").read_text().splitlines()
-    simulated = sample_scenario().runs
+    scenario = sample_scenario()
+    simulated, truth = scenario.runs, scenario.truth
     for log in LOGS:
         run = simulated[Path(log).stem]
         way_m, seen = run.odometry.step_m.sum(), truth.runs[run.name].detected

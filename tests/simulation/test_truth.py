@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +13,6 @@ from topobatch.simulation.scenario import Scenario
 from topobatch.simulation.truth import (
     MIXED,
     WorldChange,
-    read_truth,
     true_vertex_of_nodes,
     write_truth,
 )
@@ -20,23 +21,25 @@ from topobatch.topology.topomap import TopoMap
 from ..maps import straight_map
 
 
-def test_truth_survives_its_document(scenario: Scenario, tmp_path: Path) -> None:
+def test_the_document_says_what_happened(scenario: Scenario, tmp_path: Path) -> None:
     changes = (WorldChange("run-world", 3, 5, open=True),)
     write_truth(tmp_path / "truth.json", replace(scenario.truth, changes=changes))
-    again = read_truth(tmp_path / "truth.json")
+    told = json.loads((tmp_path / "truth.json").read_text())
     for name, run in scenario.truth.runs.items():
-        other = again.runs[name]
-        np.testing.assert_array_equal(run.start_ns, other.start_ns)
-        np.testing.assert_array_equal(run.vertex, other.vertex)
-        np.testing.assert_allclose(run.path, other.path, atol=6e-4)
-        assert run.fault == other.fault
-        assert run.settings == other.settings
+        other = told["runs"][name]
+        assert other["passes"]["start_ns"] == run.start_ns.tolist()
+        assert other["passes"]["vertex"] == run.vertex.tolist()
+        assert other["drives"]["edge"] == run.drive_edge.tolist()
+        np.testing.assert_allclose(run.path, np.array(other["path"])[:, 1:], atol=6e-4)
+        assert run.settings == other["settings"]
     for name, world in scenario.truth.worlds.items():
-        np.testing.assert_array_equal(world.xy, again.worlds[name].xy)
-        np.testing.assert_allclose(world.branches.values, again.worlds[name].branches.values)
-    assert again.changes == changes
-    write_truth(tmp_path / "again.json", again)
-    assert (tmp_path / "again.json").read_bytes() == (tmp_path / "truth.json").read_bytes()
+        assert told["worlds"][name]["vertices"] == world.xy.tolist()
+    assert told["changes"] == [{"world": "run-world", "edge": 3, "time_ns": 5, "open": True}]
+    assert {frozenset((pair["a"], pair["b"])) for pair in told["pairs"]} == {
+        frozenset(pair)
+        for pair in combinations(scenario.runs, 2)
+        if len({scenario.truth.runs[run].world for run in pair}) == 1
+    }
 
 
 def _map_of(name: str, xy: np.ndarray, nodes: list[int], times_ns: np.ndarray) -> TopoMap:

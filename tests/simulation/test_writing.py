@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import resource
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,6 @@ from topobatch.simulation.settings import (
     RunSettings,
     ScenarioSettings,
 )
-from topobatch.simulation.truth import read_truth
 from topobatch.simulation.worlds import make_world
 from topobatch.simulation.writing import (
     FORMATS,
@@ -62,16 +62,16 @@ def test_payloads_are_those_of_rosbags(ros: str, upside_down: bool) -> None:
     simulated = simulate_run(make_world("maze", 6, 2), settings=run)
     store = typestore(ros)
     messages = messages_of(simulated, ros)
-    log_ns = [log for log, _, _, _ in messages]
+    log_ns = [log for log, _, _ in messages]
     assert log_ns == sorted(log_ns)
-    assert {topic for _, _, topic, _ in messages} == set(topics_of(simulated)) == set(TOPICS)
+    assert {topic for _, topic, _ in messages} == set(topics_of(simulated)) == set(TOPICS)
     read, write = (
         (store.deserialize_ros1, store.serialize_ros1)
         if ros == "ros1"
         else (store.deserialize_cdr, store.serialize_cdr)
     )
-    (mount,) = (read(raw, TOPICS[topic]) for *_, topic, raw in messages if topic == "/tf_static")
-    for _, _, topic, payload in messages[::37]:
+    (mount,) = (read(raw, TOPICS[topic]) for _, topic, raw in messages if topic == "/tf_static")
+    for _, topic, payload in messages[::37]:
         assert bytes(write(read(payload, TOPICS[topic]), TOPICS[topic])) == payload
     assert simulated.scans is not None
     transform = mount.transforms[0].transform
@@ -148,4 +148,11 @@ def test_formats_are_dealt_out_and_files_repeat(scenario: Scenario, tmp_path: Pa
         *("run1.bag", "truth.json"),
         *("run2/metadata.yaml", "run2/run2.db3"),
     }
-    assert set(read_truth(tmp_path / "a" / "truth.json").runs) == {"run1", "run2"}
+    truth = json.loads((tmp_path / "a" / "truth.json").read_text())
+    assert set(truth["runs"]) == {"run1", "run2"}
+    write_run(tmp_path / "a", scenario.simulated[1], "bag")
+    assert {p.name for p in Path(tmp_path / "a").iterdir()} == {
+        "run1.bag",
+        "run2.bag",
+        "truth.json",
+    }
