@@ -25,6 +25,9 @@ Kind = Literal[
     "foxglove_poses",
 ]
 
+WIRE_KINDS = ("odometry", "pose", "pose_covariance", "pose_array", "transforms")
+"""Kinds of ROS, decoded as columns."""
+
 NUMBERS = 7
 """Numbers of a pose: position and quaternion."""
 
