@@ -61,33 +61,15 @@ def walk(recording: Recording, intake: Intake, on_bytes: OnBytes | None = None) 
 def kept(
     recording: Recording, settings: ReadSettings, progress: Progress, index: Survey | None
 ) -> tuple[Intake, Findings]:
-    """The messages of a log that are kept, and the findings; by the index if it lists what is
-    needed."""
-    if index is not None:
-        try:
-            intake, findings = _walked(recording, settings, progress, index)
-            if index.sure or findings.counts.keys() <= index.counts.keys():
-                return intake, findings
-        except (LogError, UsageError):
-            if index.sure:
-                raise
-    # There is no index, or one that may be wrong lacks what is needed.
-    recording.passes.clear()
-    intake, findings = _walked(recording, settings, progress, None)
-    if index is not None and not findings.counts.keys() <= index.counts.keys():
-        findings.note("the index describes other channels than the data, which are believed")
-    return intake, findings
+    """The messages of a log that are kept, and the findings of one pass over it.
 
-
-def _walked(
-    recording: Recording, settings: ReadSettings, progress: Progress, index: Survey | None
-) -> tuple[Intake, Findings]:
-    """The messages kept and the findings of one pass over a recording; index: its claimed
-    contents."""
+    index: its claimed contents; one without a checksum may be wrong, and does not count.
+    """
     log = str(recording.path)
-    counts = index.counts if index is not None else None
+    counts = index.counts if index is not None and index.sure else None
     accept = acceptance(counts, settings, log)
     try_mapping(recording, counts, settings)
+    recording.passes.clear()
     intake = Intake(accept, decoders(settings, log), kept_whole(settings))
     return intake, walk(recording, intake, progress)
 
@@ -110,12 +92,8 @@ def acceptance(
     types = {*ODOMETRY_KINDS, *JUNCTION_KINDS}
     if counts is None:
         return lambda channel: channel.topic in named or channel.type_name in types
-    listed = {channel.topic for channel in counts}
     chosen = _chosen(counts, settings, log)
-    # A topic that the index forgot is kept as well: the choice is made again at the end.
-    return lambda channel: (
-        channel.topic in chosen or (channel.topic not in listed and channel.type_name in types)
-    )
+    return lambda channel: channel.topic in chosen
 
 
 def _chosen(counts: Mapping[Channel, int], settings: ReadSettings, log: str) -> set[str]:

@@ -133,9 +133,6 @@ class Sink:
         told = int(changes) + (len(decoded) > 0)
         self.empty += len(block.start) - (self.decoder.failed - failed) - told
         poses = self._usable(decoded)
-        kind = POSE_KINDS.get(self.channel.type_name)
-        if kind == "pose_covariance" and poses.sigma_m is None:  # others state none
-            poses.sigma_m = np.full(len(poses), np.nan)
         poses.message = poses.message + self.messages
         if not self.whole:
             poses.pose = in_plane(poses.pose)
