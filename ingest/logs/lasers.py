@@ -75,7 +75,7 @@ class RawScans(NamedTuple):
     geometry: Geometry
     blind: bool = False
 
-    def rows(self, which: IntArray) -> RawScans:
+    def rows(self, which: IntArray | slice) -> RawScans:
         """Some of the scans."""
         return self._replace(
             message=self.message[which],
@@ -144,8 +144,9 @@ def _parsed_head(parser: WireParser) -> tuple[int, str, int, int]:
 
 
 def _alike(about: Float32Array) -> list[tuple[IntArray, list[float]]]:
-    """Rows grouped by equal values, with these: in nearly every log all of them."""
-    bits = np.ascontiguousarray(about).view(np.uint32)
+    """Rows grouped by equal values, with these: in nearly every log all of them. The time of a
+    scan, which some drivers measure, serves for nothing."""
+    bits = np.ascontiguousarray(np.delete(about, ABOUT.index("scan_time"), axis=1)).view(np.uint32)
     if (bits == bits[:1]).all():
         return [(np.arange(len(about)), about[0].tolist())] if len(about) else []
     _, first, group = np.unique(bits, axis=0, return_index=True, return_inverse=True)
@@ -163,32 +164,11 @@ def _geometry(frame: str, about: list[float]) -> Geometry:
 
 
 def _in_order(parts: Sequence[RawScans]) -> list[RawScans]:
-    """The scans in the order of their messages, consecutive ones of one geometry together."""
+    """The scans in the order of their messages: one by one, if they are of several kinds."""
     if len(parts) < 2:
         return list(parts)
-    kinds: dict[str, list[RawScans]] = {}
-    for scans in parts:
-        # Compared as text, since geometries may hold NaN.
-        alike = repr((scans.geometry, scans.ranges_m.shape[1], scans.blind))
-        kinds.setdefault(alike, []).append(scans)
-    whole = [_concatenated(group) for group in kinds.values()]
-    message = np.concatenate([scans.message for scans in whole])
-    owner = np.repeat(np.arange(len(whole)), [len(scans.message) for scans in whole])
-    row = np.concatenate([np.arange(len(scans.message)) for scans in whole])
-    order = np.argsort(message, kind="stable")
-    pieces = np.split(order, np.flatnonzero(np.diff(owner[order])) + 1)
-    return [whole[int(owner[piece[0]])].rows(row[piece]) for piece in pieces]
-
-
-def _concatenated(parts: list[RawScans]) -> RawScans:
-    if len(parts) == 1:
-        return parts[0]
-    return parts[0]._replace(
-        message=np.concatenate([scans.message for scans in parts]),
-        log_ns=np.concatenate([scans.log_ns for scans in parts]),
-        stamp_ns=np.concatenate([scans.stamp_ns for scans in parts]),
-        ranges_m=np.concatenate([scans.ranges_m for scans in parts]),
-    )
+    single = [part.rows(slice(k, k + 1)) for part in parts for k in range(len(part.message))]
+    return sorted(single, key=lambda scan: int(scan.message[0]))
 
 
 # One by one
