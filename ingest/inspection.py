@@ -63,7 +63,7 @@ def inspect_log(path: LogPath, settings: ReadSettings = DEFAULT_READ) -> LogInfo
     problems = list(recording.notes)
     if survey is None:
         findings = walk(recording, Intake(lambda _: False))
-        problems = damage_of(recording, findings)
+        problems = damage_of(recording)
         survey = Survey(findings.counts, findings.first_ns or 0, findings.last_ns or 0)
     damage = len(problems)
     uses = _uses(recording, survey.counts, settings, problems)

@@ -160,15 +160,17 @@ def try_mapping(
         raise UsageError(f"{log}: {topic}: --junction-fields: {found.reason}")
 
 
-def damage_of(recording: Recording, findings: Findings) -> list[str]:
-    """The faults of a log that was read whole."""
-    damage = [*recording.notes, *findings.damage]
-    if recording.declared is not None and findings.messages < recording.declared:
+def damage_of(recording: Recording) -> list[str]:
+    """The faults of a log that passes over all of it found, the first one with what could be
+    read."""
+    first, *others = recording.passes or [Findings()]
+    damage = [*recording.notes, *first.damage]
+    if recording.declared is not None and first.messages < recording.declared:
         damage.append(
             f"metadata.yaml counts {several(recording.declared, 'message')}, "
-            f"{findings.messages} {'was' if findings.messages == 1 else 'were'} found"
+            f"{first.messages} {'was' if first.messages == 1 else 'were'} found"
         )
-    return damage
+    return list(dict.fromkeys([*damage, *(told for found in others for told in found.losses)]))
 
 
 @dataclass(slots=True, eq=False)
@@ -195,20 +197,6 @@ class Progress:
     def finish(self) -> None:
         """Report that all passes are done."""
         self(self.walks * self.size)
-
-
-def further_damage(recording: Recording) -> list[str]:
-    """The faults of a log that only passes after the first one found."""
-    first, *others = recording.passes or [Findings()]
-    told = dict.fromkeys(sentence for found in others for sentence in found.losses)
-    return [sentence for sentence in told if sentence not in first.losses]
-
-
-def checked_damage(log: str, damage: list[str], settings: ReadSettings) -> list[str]:
-    """The faults of a log; LogError if there are any, in strict mode."""
-    if damage and settings.strict:
-        raise LogError(f"{log}: damaged: {'; '.join(damage)}")
-    return damage
 
 
 @dataclass(frozen=True, slots=True)
