@@ -117,11 +117,14 @@ class _Template(NamedTuple):
     def of(cls, ros1: bool, raw: bytes) -> _Template:
         """The template of one LaserScan; raises DamageError if it cannot be one."""
         parser = WireParser(raw, ros1)
-        stamp_at, frame, about_at, beams = _parsed_head(parser)
+        stamp_at, frame = parser.header()
+        parser.align(4)
+        about_at = parser.advance(ABOUT_BYTES)
+        beams = _checked_beams(parser.count())
         shape = parser.shape
         parser.advance(4 * beams)
-        width, order = parser.position, parser.order
-        return cls(width, shape, order, ros1, frame, stamp_at, about_at, beams)
+        frame = frame.lstrip("/")
+        return cls(parser.position, shape, parser.order, ros1, frame, stamp_at, about_at, beams)
 
     def scans(self, rows: Bytes, message: IntArray, log_ns: IntArray) -> list[RawScans]:
         """The scans of messages (rows) of this shape, by geometry."""
@@ -133,14 +136,6 @@ class _Template(NamedTuple):
             RawScans(message, log_ns, stamp_ns, ranges, _geometry(self.frame, stated)).rows(which)
             for which, stated in _alike(about)
         ]
-
-
-def _parsed_head(parser: WireParser) -> tuple[int, str, int, int]:
-    """Offset of the stamp, frame, offset of the numbers about a scan, and number of beams."""
-    stamp_at, frame = parser.header()
-    parser.align(4)
-    about_at = parser.advance(ABOUT_BYTES)
-    return stamp_at, frame.lstrip("/"), about_at, _checked_beams(parser.count())
 
 
 def _alike(about: Float32Array) -> list[tuple[IntArray, list[float]]]:

@@ -281,12 +281,10 @@ def _check_table(base: sqlite3.Connection, name: str) -> None:
         "SELECT type, substr(sql, 1, 100) FROM sqlite_master WHERE name = ? COLLATE NOCASE LIMIT 2",
         (name,),
     ).fetchall()
-    if not found:
-        raise DamageError(f"it has no table {name}")
-    if len(found) > 1 or found[0][0] != "table" or "VIRTUAL" in str(found[0][1]).upper().split():
-        raise DamageError(f"{name} is no plain table")
-    if any(row[6] for row in base.execute(f"PRAGMA table_xinfo({name})")):
-        raise DamageError(f"{name} has generated columns")
+    kinds = [(kind, "VIRTUAL" in str(sql).upper().split()) for kind, sql in found]
+    generated = any(row[6] for row in base.execute(f"PRAGMA table_xinfo({name})"))
+    if kinds != [("table", False)] or generated:
+        raise DamageError(f"it has no plain table {name}")
 
 
 def _channels(base: sqlite3.Connection) -> dict[int, Channel]:
@@ -333,8 +331,8 @@ def _counts(base: sqlite3.Connection, keys: Iterable[int], exact: bool) -> dict[
     if exact:
         return dict(base.execute("SELECT topic_id, count(*) FROM messages GROUP BY topic_id"))
     # Most topics are among the first rows; those that are not take one pass.
-    early = "SELECT DISTINCT topic_id FROM (SELECT topic_id FROM messages LIMIT 5000)"
-    present = {key for (key,) in base.execute(early)}
-    if not present.issuperset(keys):
-        present = {key for (key,) in base.execute("SELECT DISTINCT topic_id FROM messages")}
+    for rows in ("(SELECT topic_id FROM messages LIMIT 5000)", "messages"):
+        present = {key for (key,) in base.execute(f"SELECT DISTINCT topic_id FROM {rows}")}
+        if present.issuperset(keys):
+            break
     return dict.fromkeys(present, 1)
