@@ -15,6 +15,7 @@ from .foxglove import object_reader, object_rows
 from .inflate import unpacked
 from .messages import UNWANTED, Block, Channel, DamageError
 from .poses import FARTHEST_M, WIRE_KINDS, PoseDecoder, Poses, RowDecoder, WireDecoder, no_poses
+from .schema import is_usual
 from .topics import POSE_KINDS
 
 DENSE = 64
@@ -35,7 +36,7 @@ MOST_SINKS = 1 << 12
 def decoder_for(channel: Channel) -> PoseDecoder:
     """The decoder for a channel of one of the known types; raises DamageError if there is none."""
     kind = POSE_KINDS.get(channel.type_name)
-    if kind in WIRE_KINDS and channel.encoding in ("cdr", "ros1"):
+    if kind in WIRE_KINDS and channel.encoding in ("cdr", "ros1") and is_usual(channel):
         return WireDecoder(kind, channel.encoding == "ros1")
     read = object_reader(channel)
     return RowDecoder(lambda raw, frames: object_rows(read(raw), frames))

@@ -29,6 +29,7 @@ from .foxglove import (
 )
 from .inflate import PIECE_BYTES, unpacked
 from .messages import MESSAGE_BYTES, OBJECT_BYTES, Block, Bytes, Channel, DamageError
+from .schema import is_usual
 from .topics import JUNCTIONS
 from .wire import Decoder, OneByOne, TemplateDecoder, WireParser, stamps_ns
 
@@ -261,7 +262,7 @@ def scan_decoder(channel: Channel, slicer: Slicer) -> ScanDecoder:
     """
     serialized, ros1 = channel.encoding in ("cdr", "ros1"), channel.encoding == "ros1"
     scan = channel.type_name == "sensor_msgs/msg/LaserScan"
-    if serialized and scan:
+    if serialized and scan and is_usual(channel):
         template = partial(_Template.of, ros1)
         return TemplateDecoder(template, _Template.scans, lambda parts: _in_order([*chain(*parts)]))
     if serialized and channel.type_name == "sensor_msgs/msg/PointCloud2":

@@ -15,6 +15,7 @@ from ...topology.errors import LogError
 from ...topology.run import Grid
 from ...topology.wording import legible
 from ..remote.path import LogPath, RemotePath
+from .messages import one_line
 from .metadata import yaml_values
 
 if TYPE_CHECKING:
@@ -102,8 +103,7 @@ def read_saved_map(path: Path) -> tuple[Grid, tuple[str, ...]]:
             notes = (f"its image {where} is not there; {image.name} beside it is read", *notes)
         return checked_grid(grid), notes
     except (ValueError, KeyError, OSError) as error:
-        text = legible(" ".join(str(error).split()))[:200]
-        raise LogError(f"{path}: is no map that can be read: {text}") from error
+        raise LogError(f"{path}: is no map that can be read: {one_line(error)}") from error
 
 
 _NONE = np.zeros((0, 0), bool)

@@ -24,6 +24,20 @@ REMEMBERED_BYTES = 1 << 14
 message types used here."""
 
 
+def is_usual(channel: Channel) -> bool:
+    """Whether the definition of a type of ROS is ROS's own, so that its layout is known.
+
+    True also for a log without definitions, or with one that cannot be read: the type's name is
+    trusted then.
+    """
+    try:
+        own = _checked_store(channel).fielddefs
+        usual = _checked_store(channel._replace(schema=b"")).fielddefs
+    except DamageError:
+        return True
+    return all(name not in usual or usual[name][1] == own[name][1] for name in own)
+
+
 def object_decoder(channel: Channel) -> Callable[[bytes], Any]:
     """A function from payload to message object, by the embedded definition.
 

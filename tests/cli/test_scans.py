@@ -28,7 +28,7 @@ def test_simulated_lasers(topobatch, tmp_path):
     done = topobatch("simulate", tmp_path / "b", "--laser", "--detections", *small)
     assert done.code == 0, done
     out = topobatch("info", tmp_path / "b").out
-    assert "junctions: default name; taken before what sensors show, each of confidence 1" in out
+    assert "junctions: default name" in out
     assert "shows the walls around places; --junctions-from scan finds" in out
     out = topobatch("info", tmp_path / "b", "--junctions-from", "scan").out
     assert "scans: default name; asked for in place of detections" in out

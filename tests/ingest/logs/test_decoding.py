@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from topobatch.ingest.logs.messages import Block
+from topobatch.ingest.logs.messages import Block, Channel
 from topobatch.ingest.logs.poses import WireDecoder
+from topobatch.ingest.logs.schema import is_usual
 
 NAMES = st.sampled_from(["odom", "/odom", "base_link", "a", "", "robot/odom", "ü" * 5])
 NUMBERS = st.floats(allow_nan=False, width=64)
@@ -65,3 +66,18 @@ def test_columns_equal_the_library_bit_for_bit(logs, kind, encoding, data):
     for (message, stamp, frame, value), want in zip(rows, expected, strict=True):
         assert (message, stamp, decoder.frames.pairs[frame]) == want[:3]
         assert value.tobytes() == np.array(want[3]).tobytes()
+
+
+@pytest.mark.parametrize(
+    ("definition", "expected"),
+    [
+        ("float64 x", False),
+        ("x/Loop a\n" + "=" * 80 + "\nMSG: x/Loop\nx/Loop a", True),
+        ("", True),
+        ("std_msgs/Header header\nPose[] poses", True),
+        ("\x00\xff# nothing", True),
+    ],
+)
+def test_definitions_that_say_otherwise_are_believed_and_broken_ones_are_not(definition, expected):
+    channel = Channel("/t", "nav_msgs/msg/Odometry", "cdr", definition.encode(), "ros2msg")
+    assert is_usual(channel) is expected
