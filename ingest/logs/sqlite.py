@@ -202,8 +202,8 @@ def _sound(path: Path, findings: Findings) -> Iterator[Path]:
 
     A copy, so that nothing has to be written beside the database.
     """
-    with path.open("rb") as file:
-        page = int.from_bytes(file.read(18)[16:], "big")
+    with path.open("rb") as source:
+        page = int.from_bytes(source.read(18)[16:], "big")
     size = path.stat().st_size
     cut = size % page if 512 <= page < 1 << 16 else 0
     names = [path.name + suffix for suffix in ("-wal", "-journal")]

@@ -21,7 +21,7 @@ def test_simulated_lasers(topobatch, tmp_path):
     done = topobatch("simulate", tmp_path / "a", "--laser", *small, "--format", "bag")
     assert done.code == 0, done
     out = topobatch("info", tmp_path / "a" / "run1.bag").out
-    assert "scans: default name; the log has no detections" in out
+    assert "scans: default name" in out
     assert "/junctions" not in out
     truth = json.loads((tmp_path / "a" / "truth.json").read_text())
     assert truth["runs"]["run1"]["settings"]["laser"]["corridor_m"] == 1.4
