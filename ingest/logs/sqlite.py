@@ -10,6 +10,7 @@ import tempfile
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import closing, contextmanager, suppress
+from itertools import compress
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -147,16 +148,18 @@ class _Reader:
             try:
                 for row in self._base.execute(self._query, (first,)):
                     rows.append(row)
-                    first, step = row[0] + 1, 1
-                    held += len(row[3]) if type(row[3]) is bytes else 0
+                    if type(row[3]) is bytes:
+                        held += len(row[3])
                     if held > PIECE_BYTES or len(rows) == ROWS:
                         yield rows
-                        rows, held = [], 0
+                        first, step, rows, held = row[0] + 1, 1, [], 0
                 yield rows
                 return
             except _ERRORS as error:
                 self._findings.note(f"the database is damaged ({one_line(error)})")
-            yield rows
+            if rows:
+                yield rows
+                first, step = rows[-1][0] + 1, 1
             first, step = max(first, 0) + step, 2 * step
 
     def _blocks_of(self, rows: list[_Row]) -> Iterator[Block]:
@@ -165,25 +168,27 @@ class _Reader:
         self._findings.faults[_BROKEN_ROW] += len(rows) - len(good)
         if not good:
             return
-        self._count_missing(np.array([row[0] for row in good]))
-        times = [row[2] for row in good]
-        self._findings.span(min(times), max(times))
-        for key in sorted({row[1] for row in good}):
-            mine = [row for row in good if row[1] == key]
-            channel = self._channels.get(key)
+        numbers, topics, times, payloads = zip(*good, strict=True)
+        topic, time = np.array(topics), np.array(times)
+        self._count_missing(np.array(numbers))
+        self._findings.span(int(time.min()), int(time.max()))
+        for key in sorted(set(topics)):
+            mine = topic == key
+            channel, count = self._channels.get(key), int(mine.sum())
             if channel is None:
-                self._findings.faults[UNKNOWN] += len(mine)
+                self._findings.faults[UNKNOWN] += count
             elif self._sink[key] < 0:
-                self._findings.seen(channel, len(mine))
+                self._findings.seen(channel, count)
             else:
-                whole = [row for row in mine if type(row[3]) is bytes]
-                large = sum(type(row[3]) is int and row[3] > MESSAGE_BYTES for row in mine)
+                found = list(compress(payloads, mine.tolist()))
+                whole = [data for data in found if type(data) is bytes]
+                large = sum(type(size) is int and size > MESSAGE_BYTES for size in found)
                 self._findings.faults[TOO_LARGE] += large
-                self._findings.faults[_BROKEN_ROW] += len(mine) - len(whole) - large
+                self._findings.faults[_BROKEN_ROW] += count - len(whole) - large
                 self._findings.seen(channel, len(whole))
                 if whole:
-                    _, _, time_ns, payloads = zip(*whole, strict=True)
-                    block = Block.of(self._sink[key], np.array(time_ns, np.int64), payloads)
+                    time_ns = time[mine][[type(data) is bytes for data in found]]
+                    block = Block.of(self._sink[key], time_ns, whole)
                     self._read_bytes += len(block.data)
                     yield block
 
