@@ -21,7 +21,6 @@ from ...topology.arrays import IntArray
 from ...topology.errors import LogError
 from ...topology.wording import legible
 from .channels import DEFINITION_BYTES, NUMBERS
-from .inflate import PIECE_BYTES
 from .messages import (
     CUT,
     MESSAGE_BYTES,
@@ -42,14 +41,15 @@ from .messages import (
     one_line,
     several,
 )
+from .write_ahead import merge_write_ahead, page_bytes
 
 MAGIC = b"SQLite format 3\x00"
 
 _ERRORS = (sqlite3.Error, ValueError, TypeError, OverflowError, MemoryError)
 """Exceptions of the library on a damaged database: its own, and those of converting values."""
 
-ROWS = 2048
-"""Rows that are fetched at a time, and fewer if their payloads fill a piece."""
+ROWS, LARGE_BYTES = 2048, 1 << 14
+"""Rows that are fetched at a time; larger payloads are asked for by themselves."""
 
 LEAST_STEPS = 1 << 25
 STEPS_PER_BYTE = 4
@@ -117,7 +117,7 @@ class _Reader:
         self._channels = _channels(base)
         self._sink = {key: want(channel) for key, channel in self._channels.items()}
         wanted = ",".join(str(key) for key, sink in self._sink.items() if sink >= 0)
-        chosen = f"topic_id IN ({wanted}) AND length(data) <= {MESSAGE_BYTES}"
+        chosen = f"topic_id IN ({wanted}) AND length(data) <= {LARGE_BYTES}"
         data = f"CASE WHEN {chosen} THEN data ELSE length(data) END"
         # The number of a row is its id, but in tables of other writers.
         columns = base.execute("PRAGMA table_info(messages)").fetchall()
@@ -126,12 +126,13 @@ class _Reader:
             f"SELECT {number}, topic_id, timestamp, {data} FROM messages "
             f"WHERE {number} >= ? ORDER BY {number}"
         )
+        self._one = f"SELECT data FROM messages WHERE {number} = ?"
         self._read_bytes = self._last = self._missing = 0
 
     def blocks(self) -> Iterator[Block]:
         """All rows in blocks of bounded memory."""
         for rows in self._batches():
-            yield from self._blocks_of(rows)
+            yield from self._block(rows)
             self._passed.passed(self._read_bytes)
         if self._missing:
             self._findings.note(
@@ -141,28 +142,22 @@ class _Reader:
     def _batches(self) -> Iterator[list[_Row]]:
         """All rows by ascending number; damaged places are stepped over, in ever longer steps: rows
         next to each other share their page."""
-        first, step = -(1 << 63), 1
+        first, count, step = -(1 << 63), ROWS, 1
         while step < MOST_MISSING:
-            rows: list[_Row] = []
-            held = 0
             try:
-                for row in self._base.execute(self._query, (first,)):
-                    rows.append(row)
-                    if type(row[3]) is bytes:
-                        held += len(row[3])
-                    if held > PIECE_BYTES or len(rows) == ROWS:
-                        yield rows
-                        first, step, rows, held = row[0] + 1, 1, [], 0
-                yield rows
+                cursor = self._base.execute(self._query, (first,))
+                while rows := cursor.fetchmany(count):
+                    yield rows
+                    first, step = rows[-1][0] + 1, 1
                 return
             except _ERRORS as error:
                 self._findings.note(f"the database is damaged ({one_line(error)})")
-            if rows:
-                yield rows
-                first, step = rows[-1][0] + 1, 1
-            first, step = max(first, 0) + step, 2 * step
+            if count > 1:
+                count = 1  # up to the damage
+            else:
+                first, count, step = max(first, 0) + step, ROWS, 2 * step
 
-    def _blocks_of(self, rows: list[_Row]) -> Iterator[Block]:
+    def _block(self, rows: list[_Row]) -> Iterator[Block]:
         """The wanted ones of some rows; columns may hold any type in SQLite."""
         good = [row for row in rows if type(row[1]) is type(row[2]) is int]
         self._findings.faults[_BROKEN_ROW] += len(rows) - len(good)
@@ -181,16 +176,34 @@ class _Reader:
                 self._findings.seen(channel, count)
             else:
                 found = list(compress(payloads, mine.tolist()))
-                whole = [data for data in found if type(data) is bytes]
-                large = sum(type(size) is int and size > MESSAGE_BYTES for size in found)
-                self._findings.faults[TOO_LARGE] += large
-                self._findings.faults[_BROKEN_ROW] += count - len(whole) - large
-                self._findings.seen(channel, len(whole))
-                if whole:
-                    time_ns = time[mine][[type(data) is bytes for data in found]]
-                    block = Block.of(self._sink[key], time_ns, whole)
-                    self._read_bytes += len(block.data)
-                    yield block
+                if set(map(type, found)) == {bytes}:
+                    yield self._block_of(channel, self._sink[key], found, time[mine])
+                    continue
+                for k, data in zip(mine.nonzero()[0].tolist(), found, strict=True):
+                    if payload := data if type(data) is bytes else self._large(numbers[k], data):
+                        yield self._block_of(channel, self._sink[key], [payload], time[k : k + 1])
+
+    def _large(self, number: int, size: Any) -> bytes | None:
+        """A payload that is asked for by itself; None, and counted, if it is none or too long.
+
+        size: its length, or what stands in its place.
+        """
+        large = isinstance(size, int) and size > MESSAGE_BYTES
+        with suppress(*_ERRORS):
+            if not large:
+                (data,) = self._base.execute(self._one, (number,)).fetchone()
+                if isinstance(data, bytes):
+                    return data
+        self._findings.faults[TOO_LARGE if large else _BROKEN_ROW] += 1
+        return None
+
+    def _block_of(
+        self, channel: Channel, sink: int, payloads: list[bytes], time_ns: IntArray
+    ) -> Block:
+        block = Block.of(sink, time_ns, payloads)
+        self._findings.seen(channel, len(payloads))
+        self._read_bytes += len(block.data)
+        return block
 
     def _count_missing(self, number: IntArray) -> None:
         """Count the gaps in ascending numbers: a recorder counts from 1 on."""
@@ -207,56 +220,33 @@ def _sound(path: Path, findings: Findings) -> Iterator[Path]:
 
     A copy, so that nothing has to be written beside the database.
     """
-    with path.open("rb") as source:
-        page = int.from_bytes(source.read(18)[16:], "big")
-    size = path.stat().st_size
-    cut = size % page if 512 <= page < 1 << 16 else 0
-    names = [path.name + suffix for suffix in ("-wal", "-journal")]
-    beside = [file for name in names if _has_content(file := path.with_name(name))]
-    if not beside and not cut:
+    page, size = page_bytes(path), path.stat().st_size
+    log, journal = (_beside(path, suffix) for suffix in ("-wal", "-journal"))
+    if log is None and journal is None and size % page == 0:
         yield path
         return
     with tempfile.TemporaryDirectory(prefix="topobatch-") as folder:
         copy = Path(folder) / path.name
         try:
-            for file in (path, *beside):
+            for file in (path, journal) if journal is not None else (path,):
                 shutil.copyfile(file, copy.with_name(file.name))
         except OSError as error:
             raise LogError(f"{path}: cannot be copied to be read ({error.strerror})") from error
-        if cut:
+        if size % page:
             findings.faults[CUT] = 1
-            os.truncate(copy, size - cut)
-        if beside:
-            _recover(copy, path.with_name(names[0]), findings)
+            os.truncate(copy, size // page * page)
+        if log is not None:
+            merge_write_ahead(log, copy, findings)
+        if journal is not None:
+            with closing(sqlite3.connect(copy)) as base, suppress(*_ERRORS):
+                base.execute("SELECT 1 FROM sqlite_master").fetchone()
         yield copy
 
 
-def _has_content(file: Path) -> bool:
-    return file.is_file() and file.stat().st_size > 0
-
-
-def _recover(copy: Path, log: Path, findings: Findings) -> None:
-    """Let the library take an unfinished transaction back, and write what the write-ahead log holds
-    into the copy of a database.
-
-    It stops at the first frame whose checksum is wrong, without a word; what lies behind is told. A
-    log that was begun anew has frames with another salt behind its own
-    (https://www.sqlite.org/fileformat2.html, section 4).
-    """
-    frames = 0
-    with closing(sqlite3.connect(copy)) as base, suppress(*_ERRORS):
-        base.execute("SELECT 1 FROM sqlite_master").fetchone()
-        frames = max(base.execute("PRAGMA wal_checkpoint").fetchone()[1], 0)
-    if not _has_content(log):
-        return
-    with log.open("rb") as source:
-        head = source.read(32)
-        used = len(head) + frames * (24 + int.from_bytes(head[8:12], "big"))
-        source.seek(used)
-        following = source.read(16)
-    left = log.stat().st_size - used
-    if left > 0 and not (frames and following[8:] != head[16:24]):
-        findings.note(f"the last {left} bytes of the database's write-ahead log cannot be used")
+def _beside(path: Path, suffix: str) -> Path | None:
+    """A file that belongs to a database, None if there is none or it is empty."""
+    file = path.with_name(path.name + suffix)
+    return file if file.is_file() and file.stat().st_size else None
 
 
 @contextmanager
@@ -286,10 +276,12 @@ def _check_table(base: sqlite3.Connection, name: str) -> None:
         "SELECT type, substr(sql, 1, 100) FROM sqlite_master WHERE name = ? COLLATE NOCASE LIMIT 2",
         (name,),
     ).fetchall()
-    kinds = [(kind, "VIRTUAL" in str(sql).upper().split()) for kind, sql in found]
-    generated = any(row[6] for row in base.execute(f"PRAGMA table_xinfo({name})"))
-    if kinds != [("table", False)] or generated:
-        raise DamageError(f"it has no plain table {name}")
+    if not found:
+        raise DamageError(f"it has no table {name}")
+    if len(found) > 1 or found[0][0] != "table" or "VIRTUAL" in str(found[0][1]).upper().split():
+        raise DamageError(f"{name} is no plain table")
+    if any(row[6] for row in base.execute(f"PRAGMA table_xinfo({name})")):
+        raise DamageError(f"{name} has generated columns")
 
 
 def _channels(base: sqlite3.Connection) -> dict[int, Channel]:
@@ -336,8 +328,8 @@ def _counts(base: sqlite3.Connection, keys: Iterable[int], exact: bool) -> dict[
     if exact:
         return dict(base.execute("SELECT topic_id, count(*) FROM messages GROUP BY topic_id"))
     # Most topics are among the first rows; those that are not take one pass.
-    for rows in ("(SELECT topic_id FROM messages LIMIT 5000)", "messages"):
-        present = {key for (key,) in base.execute(f"SELECT DISTINCT topic_id FROM {rows}")}
-        if present.issuperset(keys):
-            break
+    early = "SELECT DISTINCT topic_id FROM (SELECT topic_id FROM messages LIMIT 5000)"
+    present = {key for (key,) in base.execute(early)}
+    if not present.issuperset(keys):
+        present = {key for (key,) in base.execute("SELECT DISTINCT topic_id FROM messages")}
     return dict.fromkeys(present, 1)
