@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..topology.arrays import FloatArray
+from ..topology.columns import take
 from ..topology.wording import listed
 from .logs.inflate import unpacked
 from .logs.intake import decoder_for, usable_poses
@@ -32,12 +33,11 @@ class FixedTransforms:
     """Transforms that are constant throughout a log.
 
     value: by (parent, child) T_parent_child as x, y, z [m], qx, qy, qz, qw; moving: pairs whose
-    transform changes; unusable: pairs of which no transform has finite numbers and an orientation.
+    transform changes.
     """
 
     value: Mapping[Pair, FloatArray] = field(default_factory=dict)
     moving: frozenset[Pair] = frozenset()
-    unusable: frozenset[Pair] = frozenset()
 
     def connected_to(self, target: str) -> dict[str, FloatArray]:
         """(7,) T_target_source of every frame connected by fixed transforms, along the shortest
@@ -60,11 +60,7 @@ class FixedTransforms:
         return reached
 
     def __str__(self) -> str:
-        kinds = (
-            ("fixed", self.value),
-            ("moving", self.moving),
-            ("without usable numbers", self.unusable),
-        )
+        kinds = ("fixed", self.value), ("moving", self.moving)
         told = [
             f"{kind}: {listed([f'{a} → {b}' for a, b in sorted(pairs)], 6)}"
             for kind, pairs in kinds
@@ -96,7 +92,8 @@ def _inverse(T_a_b: FloatArray) -> FloatArray:
 def fixed_transforms(recording: Recording) -> FixedTransforms:
     """All transforms between named frames that never change; reads the log once more."""
     decoders: list[tuple[str, PoseDecoder]] = []
-    heard = _Heard()
+    known: dict[Pair, FloatArray] = {}
+    moving: set[Pair] = set()
 
     def want(channel: Channel) -> int:
         if channel.type_name not in TRANSFORM_KINDS:
@@ -111,39 +108,16 @@ def fixed_transforms(recording: Recording) -> FixedTransforms:
         encoding, decoder = decoders[block.sink]
         for part, _ in unpacked(block, encoding):
             poses = decoder.decode(part)
-            for number in np.unique(poses.frame).tolist():
-                heard.compare(decoder.frames.pairs[number], poses.pose[poses.frame == number])
-    return heard.found
-
-
-class _Heard:
-    """One value of every pair of frames, and which of them change."""
-
-    def __init__(self) -> None:
-        self._known: dict[Pair, FloatArray] = {}
-        self._moving: set[Pair] = set()
-        self._unusable: set[Pair] = set()
-
-    @property
-    def found(self) -> FixedTransforms:
-        """What was heard, without what moves, and without frames that have no name."""
-        value = {
-            pair: first
-            for pair, first in sorted(self._known.items())
-            if pair not in self._moving and pair[0] != pair[1] and all(pair)
-        }
-        unusable = self._unusable - self._known.keys()
-        return FixedTransforms(value, frozenset(self._moving), frozenset(unusable))
-
-    def compare(self, pair: Pair, value: FloatArray) -> None:
-        """Whether (k, 7) transforms are what was heard of the pair before."""
-        value = value[usable_poses(value)[1]]
-        if len(value) == 0:
-            self._unusable.add(pair)
-            return
-        value[:, 3:] /= np.linalg.norm(value[:, 3:], axis=1)[:, None]
-        first = self._known.setdefault(pair, value[0].copy())
-        # q and -q are the same rotation.
-        value[:, 3:] *= np.where(value[:, 3:] @ first[3:] < 0, -1.0, 1.0)[:, None]
-        if (np.abs(value - first) > FIXED).any():
-            self._moving.add(pair)
+            usable = take(poses, usable_poses(poses.pose)[1])
+            for number in np.unique(usable.frame).tolist():
+                value = usable.pose[usable.frame == number]
+                value[:, 3:] /= np.linalg.norm(value[:, 3:], axis=1)[:, None]
+                pair = decoder.frames.pairs[number]
+                first = known.setdefault(pair, value[0].copy())
+                # q and -q are the same rotation.
+                value[:, 3:] *= np.where(value[:, 3:] @ first[3:] < 0, -1.0, 1.0)[:, None]
+                if (np.abs(value - first) > FIXED).any():
+                    moving.add(pair)
+    named = {pair for pair in known if pair[0] != pair[1] and all(pair)}
+    fixed = {pair: known[pair] for pair in sorted(named - moving)}
+    return FixedTransforms(fixed, frozenset(moving))

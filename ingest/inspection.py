@@ -14,7 +14,7 @@ from .logs.intake import Intake
 from .logs.messages import Channel, Survey
 from .logs.recording import Recording, recording_at, run_name
 from .logs.saved_map import is_saved_map, read_saved_map
-from .logs.topics import JUNCTION_KINDS, Way, choose_odometry, odometry_topics
+from .logs.topics import Way, choose_odometry, odometry_topics
 from .read_settings import DEFAULT_READ, ReadSettings
 from .remote.path import LogPath
 from .survey import damage_of, surveyed, try_mapping, walk
@@ -63,7 +63,7 @@ def inspect_log(path: LogPath, settings: ReadSettings = DEFAULT_READ) -> LogInfo
     problems = list(recording.notes)
     if survey is None:
         findings = walk(recording, Intake(lambda _: False))
-        problems = damage_of(recording, findings)
+        problems = damage_of(recording)
         survey = Survey(findings.counts, findings.first_ns or 0, findings.last_ns or 0)
     damage = len(problems)
     uses = _uses(recording, survey.counts, settings, problems)
@@ -151,18 +151,8 @@ def _uses(
     if source is not None:
         beside = source.beside if source.way in ("scan", "cloud") else ()
         for choice in (source.choice, *beside):
-            uses[choice.topic] = (NAMES[source.way], choice.why + _instead(source.way, counts))
+            uses[choice.topic] = (NAMES[source.way], choice.why)
     return uses
-
-
-def _instead(way: Way, counts: Mapping[Channel, int]) -> str:
-    """Why junctions come from this kind of source, and their confidence."""
-    if way == "topic":
-        beside = bool(sensor_topics(counts))
-        return "; taken before what sensors show, each of confidence 1" if beside else ""
-    detected = any(c.type_name in JUNCTION_KINDS for c, n in counts.items() if n)
-    instead = "asked for in place of detections" if detected else "the log has no detections"
-    return f"; {instead}: junctions are found here, each with a confidence"
 
 
 NAMES: Mapping[Way, str] = {

@@ -16,7 +16,6 @@ from .inspection import LogInfo, TopicInfo, inspect_log
 from .junction_source import JunctionSource, junction_source, sensor_topics, views_source
 from .logs.finding import find_logs, with_parts_joined
 from .logs.grids import GridLog, last_grid
-from .logs.messages import Findings
 from .logs.recording import (
     Recording,
     log_exists,
@@ -39,9 +38,7 @@ from .survey import (
     LogRead,
     OnKeyframes,
     Progress,
-    checked_damage,
     damage_of,
-    further_damage,
     kept,
     surveyed,
 )
@@ -106,7 +103,10 @@ def read_log(
     )
     progress = Progress(recording.bytes, passes, on_bytes)
     intake, findings = kept(recording, settings, progress, index)
-    warnings = _damage(recording, findings, settings)
+    if findings.messages == 0:
+        reason = "; ".join(damage_of(recording)) or "it holds no messages"
+        raise LogError(f"{log}: nothing can be read: {reason}")
+    warnings = _damage(recording, settings)
     read = LogRead(recording, intake, findings.counts, settings, tuple(warnings), progress)
     read = replace(read, on_keyframes=on_keyframes)
     try:
@@ -115,10 +115,10 @@ def read_log(
     except DataError as error:
         # The damage may be the reason.
         kind = LogError if isinstance(error, LogError) else DataError
-        raise kind("; ".join([str(error), *warnings, *further_damage(recording)])) from error
+        raise kind("; ".join([str(error), *damage_of(recording)])) from error
     finally:
         progress.finish()
-    further = checked_damage(log, further_damage(recording), settings)
+    further = [told for told in _damage(recording, settings) if told not in warnings]
     return replace(found, warnings=(*found.warnings, *further))
 
 
@@ -188,13 +188,12 @@ def _recorded_grid(read: LogRead, source: JunctionSource) -> GridLog:
     return GridLog(read.run, grid, {"junctions": about}, read.warnings)
 
 
-def _damage(recording: Recording, findings: Findings, settings: ReadSettings) -> list[str]:
-    """The faults of the log; raises LogError if nothing is left, or in strict mode."""
-    damage = damage_of(recording, findings)
-    if findings.messages == 0:
-        reason = "; ".join(damage) or "it holds no messages"
-        raise LogError(f"{recording.path}: nothing can be read: {reason}")
-    return checked_damage(str(recording.path), damage, settings)
+def _damage(recording: Recording, settings: ReadSettings) -> list[str]:
+    """The faults of the log; LogError if there are any, in strict mode."""
+    damage = damage_of(recording)
+    if damage and settings.strict:
+        raise LogError(f"{recording.path}: damaged: {'; '.join(damage)}")
+    return damage
 
 
 def _junctions(read: LogRead, choice: Choice) -> TopicPoses:

@@ -61,33 +61,15 @@ def walk(recording: Recording, intake: Intake, on_bytes: OnBytes | None = None) 
 def kept(
     recording: Recording, settings: ReadSettings, progress: Progress, index: Survey | None
 ) -> tuple[Intake, Findings]:
-    """The messages of a log that are kept, and the findings; by the index if it lists what is
-    needed."""
-    if index is not None:
-        try:
-            intake, findings = _walked(recording, settings, progress, index)
-            if index.sure or findings.counts.keys() <= index.counts.keys():
-                return intake, findings
-        except (LogError, UsageError):
-            if index.sure:
-                raise
-    # There is no index, or one that may be wrong lacks what is needed.
-    recording.passes.clear()
-    intake, findings = _walked(recording, settings, progress, None)
-    if index is not None and not findings.counts.keys() <= index.counts.keys():
-        findings.note("the index describes other channels than the data, which are believed")
-    return intake, findings
+    """The messages of a log that are kept, and the findings of one pass over it.
 
-
-def _walked(
-    recording: Recording, settings: ReadSettings, progress: Progress, index: Survey | None
-) -> tuple[Intake, Findings]:
-    """The messages kept and the findings of one pass over a recording; index: its claimed
-    contents."""
+    index: its claimed contents; one without a checksum may be wrong, and does not count.
+    """
     log = str(recording.path)
-    counts = index.counts if index is not None else None
+    counts = index.counts if index is not None and index.sure else None
     accept = acceptance(counts, settings, log)
     try_mapping(recording, counts, settings)
+    recording.passes.clear()
     intake = Intake(accept, decoders(settings, log), kept_whole(settings))
     return intake, walk(recording, intake, progress)
 
@@ -110,12 +92,8 @@ def acceptance(
     types = {*ODOMETRY_KINDS, *JUNCTION_KINDS}
     if counts is None:
         return lambda channel: channel.topic in named or channel.type_name in types
-    listed = {channel.topic for channel in counts}
     chosen = _chosen(counts, settings, log)
-    # A topic that the index forgot is kept as well: the choice is made again at the end.
-    return lambda channel: (
-        channel.topic in chosen or (channel.topic not in listed and channel.type_name in types)
-    )
+    return lambda channel: channel.topic in chosen
 
 
 def _chosen(counts: Mapping[Channel, int], settings: ReadSettings, log: str) -> set[str]:
@@ -182,15 +160,17 @@ def try_mapping(
         raise UsageError(f"{log}: {topic}: --junction-fields: {found.reason}")
 
 
-def damage_of(recording: Recording, findings: Findings) -> list[str]:
-    """The faults of a log that was read whole."""
-    damage = [*recording.notes, *findings.damage]
-    if recording.declared is not None and findings.messages < recording.declared:
+def damage_of(recording: Recording) -> list[str]:
+    """The faults of a log that passes over all of it found, the first one with what could be
+    read."""
+    first, *others = recording.passes or [Findings()]
+    damage = [*recording.notes, *first.damage]
+    if recording.declared is not None and first.messages < recording.declared:
         damage.append(
             f"metadata.yaml counts {several(recording.declared, 'message')}, "
-            f"{findings.messages} {'was' if findings.messages == 1 else 'were'} found"
+            f"{first.messages} {'was' if first.messages == 1 else 'were'} found"
         )
-    return damage
+    return list(dict.fromkeys([*damage, *(told for found in others for told in found.losses)]))
 
 
 @dataclass(slots=True, eq=False)
@@ -217,20 +197,6 @@ class Progress:
     def finish(self) -> None:
         """Report that all passes are done."""
         self(self.walks * self.size)
-
-
-def further_damage(recording: Recording) -> list[str]:
-    """The faults of a log that only passes after the first one found."""
-    first, *others = recording.passes or [Findings()]
-    told = dict.fromkeys(sentence for found in others for sentence in found.losses)
-    return [sentence for sentence in told if sentence not in first.losses]
-
-
-def checked_damage(log: str, damage: list[str], settings: ReadSettings) -> list[str]:
-    """The faults of a log; LogError if there are any, in strict mode."""
-    if damage and settings.strict:
-        raise LogError(f"{log}: damaged: {'; '.join(damage)}")
-    return damage
 
 
 @dataclass(frozen=True, slots=True)

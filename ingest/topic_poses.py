@@ -55,15 +55,13 @@ class TopicPoses:
             parts.append(columns)
             before += sink.messages
         columns = _by_log_time(parts)
-        vague = _vague(columns)
         unusable = {
             EMPTY: sum(sink.empty for sink in sinks),
-            VAGUE: int(vague.sum()),
             NOT_FINITE: sum(sink.not_finite for sink in sinks),
             NO_ROTATION: sum(sink.zero_quaternion for sink in sinks),
         }
         return cls(
-            take(columns, ~vague) if vague.any() else columns,
+            columns,
             tuple(frames),
             before,
             sum(sink.failed for sink in sinks),
@@ -101,27 +99,11 @@ class TopicPoses:
         return out
 
 
-VAGUE_M = 1.0
-"""Stated 1 sigma of a position from which on a pose may be one of a localisation that is lost: it
-lies in another room then."""
 FOREIGN = "message", "are of another type"
 EMPTY = "message", "hold no pose"
 ELSEWHERE = "pose", "are between other frames"
-VAGUE = "pose", f"state an error of more than {VAGUE_M:g} m, unlike the others"
 NOT_FINITE = "pose", "hold numbers that are not finite or absurdly large"
 NO_ROTATION = "pose", "have a quaternion of zero length"
-VAGUER = 10.0
-"""So many times the lower quartile of all stated sigmas: those of dead reckoning, which grow with
-the way or its root, reach 4 times."""
-
-
-def _vague(columns: Poses) -> BoolArray:
-    """(k,) which poses are stated to be far more uncertain than most."""
-    sigma_m = columns.sigma_m
-    if sigma_m is None or np.isnan(sigma_m).all():
-        return np.zeros(len(columns.pose), np.bool_)
-    usual = float(np.nanquantile(sigma_m, 0.25, method="lower"))
-    return np.asarray(sigma_m > max(VAGUE_M, VAGUER * usual))
 
 
 def listed_pairs(pairs: Sequence[tuple[str, str]]) -> str:

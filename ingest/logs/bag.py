@@ -54,9 +54,6 @@ _FIELDS: Mapping[int, Mapping[bytes, int]] = {
 }
 """Numbers that a record of every kind has, and their bytes."""
 
-_ITEMS = {INDEX: 12, CHUNK_INFO: 8}
-"""Bytes of the data per item that the field `count` counts."""
-
 _U32 = struct.Struct("<I").unpack_from
 
 Fields = dict[bytes, bytes]
@@ -128,8 +125,6 @@ def record_at(read: Read, position: int) -> Record | None:
     record = Record(fields, op[0] if len(op) == 1 else 0, data_at, data_size)
     wanted = _FIELDS.get(record.op, {b"op": 1})
     if any(len(fields.get(name, b"")) != width for name, width in wanted.items()):
-        return None
-    if record.op in _ITEMS and record.number(b"count") * _ITEMS[record.op] != data_size:
         return None
     unknown = record.op == CHUNK and fields.get(b"compression") not in COMPRESSIONS
     return None if unknown else record

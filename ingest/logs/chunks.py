@@ -55,8 +55,9 @@ ALLOW_SCAN = "--allow-scan"
 THREADS = 2
 """Threads that decompress: reading, decompression and checksums release the interpreter's lock."""
 
-SMALL_BYTES = 1 << 15
-"""Chunks up to this size are decoded together: the work per chunk exceeds the work per byte."""
+TOGETHER_BYTES = 1 << 18
+"""Small chunks are decoded together up to this size: the work per chunk exceeds the work per
+byte."""
 
 AHEAD_BYTES, AHEAD = 1 << 25, 64
 """Bytes, and chunks, read and decompressed ahead of the decoding."""
@@ -292,8 +293,7 @@ class Scan(ABC):
         try:
             for chunk in chunks:
                 task = partial(_inflated, chunk, self._source.read)
-                slow = chunk.compression in SLOW and chunk.size > SMALL_BYTES
-                slow &= not _in_parts(chunk)
+                slow = chunk.compression in SLOW and not _in_parts(chunk)
                 waiting.append((chunk, pool.submit(task).result if slow else task))
                 ahead += chunk.packed + chunk.size
                 while ahead > AHEAD_BYTES or len(waiting) > AHEAD:
@@ -316,12 +316,9 @@ class Scan(ABC):
                 yield from self._used_together()
                 yield from self._streamed(chunk)
             else:
-                raw = inflated()
-                if chunk.size > SMALL_BYTES:
-                    yield from self._used_together()
-                self._held.append(raw)
-                self._held_bytes += max(len(raw), 64)  # an empty one takes memory as well
-                if self._held_bytes > 8 * SMALL_BYTES or chunk.size > SMALL_BYTES:
+                self._held.append(inflated())
+                self._held_bytes += max(chunk.size, 64)  # an empty one takes memory as well
+                if self._held_bytes > TOGETHER_BYTES:
                     yield from self._used_together()
         except DamageError as damage:
             self._fault("damaged chunk", f"skipped: {damage}")

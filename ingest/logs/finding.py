@@ -52,8 +52,6 @@ def with_parts_joined(files: Sequence[LogPath]) -> list[LogPath]:
             given.setdefault(file.parent, []).append(file)
     instead: dict[LogPath, LogPath] = {}
     for folder, named in given.items():
-        if all(len(parts) == 1 for parts in split_recordings(named, span=None)):
-            continue
         for log in _listed(folder, separate=False)[0]:
             with suppress(LogError, OSError):  # reading the files will say why
                 if isinstance(log, Path) and not log.is_file() and not _is_bag_folder(log):

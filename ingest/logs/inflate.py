@@ -88,10 +88,6 @@ def _translated(what: str) -> Iterator[None]:
         raise DamageError(f"{what} does not decompress") from error
 
 
-def _chunk(compression: str) -> str:
-    return f"{'an' if compression == 'lz4' else 'a'} {compression} chunk"
-
-
 def inflate(compression: str, data: bytes, size: int) -> bytes:
     """Exactly `size` bytes out of `data`, or DamageError. Never allocates more than `size`.
 
@@ -99,7 +95,7 @@ def inflate(compression: str, data: bytes, size: int) -> bytes:
     """
     import lz4.frame
 
-    with _translated(_chunk(compression)):
+    with _translated(f"its {compression} stream"):
         if compression == "zstd":
             out: bytes = _decompressor().stream_reader(data).read(size + 1)
         elif compression == "lz4":
@@ -136,7 +132,7 @@ def pieces(compression: str, source: Any) -> Iterator[bytes]:
     import lz4.frame
     import zstandard
 
-    with _translated(_chunk(compression)):
+    with _translated(f"its {compression} stream"):
         reader = source
         if compression == "zstd":
             decompressor = zstandard.ZstdDecompressor(max_window_size=WINDOW_BYTES)

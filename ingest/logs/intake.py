@@ -14,8 +14,8 @@ from ...topology.se2 import yaw_from_quaternion
 from .foxglove import object_reader, object_rows
 from .inflate import unpacked
 from .messages import UNWANTED, Block, Channel, DamageError
-from .poses import FARTHEST_M, PoseDecoder, Poses, RowDecoder, WireDecoder, no_poses
-from .schema import EXPECTED, as_expected
+from .poses import FARTHEST_M, WIRE_KINDS, PoseDecoder, Poses, RowDecoder, WireDecoder, no_poses
+from .schema import is_usual
 from .topics import POSE_KINDS
 
 DENSE = 64
@@ -36,7 +36,7 @@ MOST_SINKS = 1 << 12
 def decoder_for(channel: Channel) -> PoseDecoder:
     """The decoder for a channel of one of the known types; raises DamageError if there is none."""
     kind = POSE_KINDS.get(channel.type_name)
-    if kind in EXPECTED and channel.encoding in ("cdr", "ros1") and as_expected(channel, kind):
+    if kind in WIRE_KINDS and channel.encoding in ("cdr", "ros1") and is_usual(channel):
         return WireDecoder(kind, channel.encoding == "ros1")
     read = object_reader(channel)
     return RowDecoder(lambda raw, frames: object_rows(read(raw), frames))
@@ -134,9 +134,6 @@ class Sink:
         told = int(changes) + (len(decoded) > 0)
         self.empty += len(block.start) - (self.decoder.failed - failed) - told
         poses = self._usable(decoded)
-        kind = POSE_KINDS.get(self.channel.type_name)
-        if kind == "pose_covariance" and poses.sigma_m is None:  # others state none
-            poses.sigma_m = np.full(len(poses), np.nan)
         poses.message = poses.message + self.messages
         if not self.whole:
             poses.pose = in_plane(poses.pose)

@@ -29,7 +29,7 @@ from .foxglove import (
 )
 from .inflate import PIECE_BYTES, unpacked
 from .messages import MESSAGE_BYTES, OBJECT_BYTES, Block, Bytes, Channel, DamageError
-from .schema import as_expected
+from .schema import is_usual
 from .topics import JUNCTIONS
 from .wire import Decoder, OneByOne, TemplateDecoder, WireParser, stamps_ns
 
@@ -76,7 +76,7 @@ class RawScans(NamedTuple):
     geometry: Geometry
     blind: bool = False
 
-    def rows(self, which: IntArray) -> RawScans:
+    def rows(self, which: IntArray | slice) -> RawScans:
         """Some of the scans."""
         return self._replace(
             message=self.message[which],
@@ -118,11 +118,14 @@ class _Template(NamedTuple):
     def of(cls, ros1: bool, raw: bytes) -> _Template:
         """The template of one LaserScan; raises DamageError if it cannot be one."""
         parser = WireParser(raw, ros1)
-        stamp_at, frame, about_at, beams = _parsed_head(parser)
+        stamp_at, frame = parser.header()
+        parser.align(4)
+        about_at = parser.advance(ABOUT_BYTES)
+        beams = _checked_beams(parser.count())
         shape = parser.shape
         parser.advance(4 * beams)
-        width, order = parser.position, parser.order
-        return cls(width, shape, order, ros1, frame, stamp_at, about_at, beams)
+        frame = frame.lstrip("/")
+        return cls(parser.position, shape, parser.order, ros1, frame, stamp_at, about_at, beams)
 
     def scans(self, rows: Bytes, message: IntArray, log_ns: IntArray) -> list[RawScans]:
         """The scans of messages (rows) of this shape, by geometry."""
@@ -136,17 +139,10 @@ class _Template(NamedTuple):
         ]
 
 
-def _parsed_head(parser: WireParser) -> tuple[int, str, int, int]:
-    """Offset of the stamp, frame, offset of the numbers about a scan, and number of beams."""
-    stamp_at, frame = parser.header()
-    parser.align(4)
-    about_at = parser.advance(ABOUT_BYTES)
-    return stamp_at, frame.lstrip("/"), about_at, _checked_beams(parser.count())
-
-
 def _alike(about: Float32Array) -> list[tuple[IntArray, list[float]]]:
-    """Rows grouped by equal values, with these: in nearly every log all of them."""
-    bits = np.ascontiguousarray(about).view(np.uint32)
+    """Rows grouped by equal values, with these: in nearly every log all of them. The time of a
+    scan, which some drivers measure, serves for nothing."""
+    bits = np.ascontiguousarray(np.delete(about, ABOUT.index("scan_time"), axis=1)).view(np.uint32)
     if (bits == bits[:1]).all():
         return [(np.arange(len(about)), about[0].tolist())] if len(about) else []
     _, first, group = np.unique(bits, axis=0, return_index=True, return_inverse=True)
@@ -164,32 +160,11 @@ def _geometry(frame: str, about: list[float]) -> Geometry:
 
 
 def _in_order(parts: Sequence[RawScans]) -> list[RawScans]:
-    """The scans in the order of their messages, consecutive ones of one geometry together."""
+    """The scans in the order of their messages: one by one, if they are of several kinds."""
     if len(parts) < 2:
         return list(parts)
-    kinds: dict[str, list[RawScans]] = {}
-    for scans in parts:
-        # Compared as text, since geometries may hold NaN.
-        alike = repr((scans.geometry, scans.ranges_m.shape[1], scans.blind))
-        kinds.setdefault(alike, []).append(scans)
-    whole = [_concatenated(group) for group in kinds.values()]
-    message = np.concatenate([scans.message for scans in whole])
-    owner = np.repeat(np.arange(len(whole)), [len(scans.message) for scans in whole])
-    row = np.concatenate([np.arange(len(scans.message)) for scans in whole])
-    order = np.argsort(message, kind="stable")
-    pieces = np.split(order, np.flatnonzero(np.diff(owner[order])) + 1)
-    return [whole[int(owner[piece[0]])].rows(row[piece]) for piece in pieces]
-
-
-def _concatenated(parts: list[RawScans]) -> RawScans:
-    if len(parts) == 1:
-        return parts[0]
-    return parts[0]._replace(
-        message=np.concatenate([scans.message for scans in parts]),
-        log_ns=np.concatenate([scans.log_ns for scans in parts]),
-        stamp_ns=np.concatenate([scans.stamp_ns for scans in parts]),
-        ranges_m=np.concatenate([scans.ranges_m for scans in parts]),
-    )
+    single = [part.rows(slice(k, k + 1)) for part in parts for k in range(len(part.message))]
+    return sorted(single, key=lambda scan: int(scan.message[0]))
 
 
 # One by one
@@ -287,7 +262,7 @@ def scan_decoder(channel: Channel, slicer: Slicer) -> ScanDecoder:
     """
     serialized, ros1 = channel.encoding in ("cdr", "ros1"), channel.encoding == "ros1"
     scan = channel.type_name == "sensor_msgs/msg/LaserScan"
-    if serialized and scan and as_expected(channel, "laser_scan"):
+    if serialized and scan and is_usual(channel):
         template = partial(_Template.of, ros1)
         return TemplateDecoder(template, _Template.scans, lambda parts: _in_order([*chain(*parts)]))
     if serialized and channel.type_name == "sensor_msgs/msg/PointCloud2":

@@ -25,18 +25,17 @@ Kind = Literal[
     "foxglove_poses",
 ]
 
+WIRE_KINDS = ("odometry", "pose", "pose_covariance", "pose_array", "transforms")
+"""Kinds of ROS, decoded as columns."""
+
 NUMBERS = 7
 """Numbers of a pose: position and quaternion."""
 
 MOST_POSES = 1024
 """Most poses of one message: of a junction 32 count, of particles there are some hundreds."""
 
-COVARIANCE = 36
-"""Numbers of a covariance of x, y, z and rotations about them, row by row."""
-
 FARTHEST_M = 1e9
-"""Larger coordinates [m] are invalid: no robot's odometry goes farther. Larger sigmas are stated as
-this."""
+"""Larger coordinates [m] are invalid: no robot's odometry goes farther."""
 
 
 Row = tuple[int, int, list[tuple[float, ...]]]
@@ -52,8 +51,7 @@ class Poses:
 
     message: (k,) index of the message; part: (k,) index of the junction in the message, if it has
     several; log_ns, stamp_ns: (k,) its times; frame: (k,) number in the decoder's frames; pose: (k,
-    7) x, y, z [m], qx, qy, qz, qw, as recorded, or (k, 3) x, y [m], theta [rad]; sigma_m: (k,) 1
-    sigma of the positions [m] as stated, NaN where not; None if the type of message states none.
+    7) x, y, z [m], qx, qy, qz, qw, as recorded, or (k, 3) x, y [m], theta [rad].
     """
 
     message: IntArray
@@ -62,7 +60,6 @@ class Poses:
     stamp_ns: IntArray
     frame: IntArray
     pose: FloatArray
-    sigma_m: FloatArray | None = None
 
     def __len__(self) -> int:
         return len(self.message)
@@ -115,14 +112,12 @@ def join(parts: Sequence[Poses]) -> Poses:
 
 
 class _Run(NamedTuple):
-    """`length` consecutive poses with one stamp and one pair of frames; covariance: whether that of
-    the only one follows."""
+    """`length` consecutive poses with one stamp and one pair of frames."""
 
     stamp_at: int
     frame: int
     pose_at: int
     length: int
-    covariance: bool = False
 
 
 class _Template(NamedTuple):
@@ -142,19 +137,11 @@ class _Template(NamedTuple):
         stamp_ns = stamps_ns(rows, run.stamp_at, self.order, self.ros1)
         value = numbers(rows, f"{self.order}f8", run.pose_at, NUMBERS * run.length)
         value = value.reshape(-1, NUMBERS)
-        sigma_m = None
         if run.length != 1:
             times = message, log_ns, stamp_ns
             message, log_ns, stamp_ns = (np.repeat(column, run.length) for column in times)
-        elif run.covariance:
-            sigma_m = self._sigma_m(rows, run.pose_at + 8 * NUMBERS)
         frame = np.full(len(message), run.frame, np.int64)
-        return Poses(message, np.zeros_like(message), log_ns, stamp_ns, frame, value, sigma_m)
-
-    def _sigma_m(self, rows: Bytes, at: int) -> FloatArray:
-        """(k,) stated 1 sigma of the positions [m], NaN where none is stated (0 or less)."""
-        variance = numbers(rows, f"{self.order}f8", at, COVARIANCE)[:, [0, 7]].max(axis=1)
-        return np.minimum(np.sqrt(np.where(variance > 0, variance, np.nan)), FARTHEST_M)
+        return Poses(message, np.zeros_like(message), log_ns, stamp_ns, frame, value)
 
 
 def _parsed(kind: Kind, ros1: bool, frames: Frames, raw: bytes) -> _Template:
@@ -172,11 +159,8 @@ def _parsed(kind: Kind, ros1: bool, frames: Frames, raw: bytes) -> _Template:
         count = parser.count() if kind == "pose_array" else 1
         if count > MOST_POSES:
             raise DamageError(f"more than {MOST_POSES} poses in a message, which is the limit")
-        stated = kind == "pose_covariance"
         pair = frames.number(frame, child)
-        runs.append(_Run(stamp, pair, parser.doubles(NUMBERS * count), count, stated))
-        if stated:
-            parser.doubles(COVARIANCE)
+        runs.append(_Run(stamp, pair, parser.doubles(NUMBERS * count), count))
     return _Template(parser.position, parser.shape, tuple(runs), parser.order, ros1)
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from ...topology.errors import LogError
-from ...topology.wording import legible, listed
+from ...topology.wording import listed
 from ..remote.path import SMALL_FILE_BYTES, LogPath, RemotePath, log_path
 from .inflate import keep_freed_memory
 from .log_file import SUFFIX, LogFile, is_named_like_log, sniff
@@ -179,17 +179,10 @@ def _folder(path: LogPath) -> Recording:
     metadata = Metadata([], None)
     if (path / METADATA).is_file():
         metadata = _metadata(path / METADATA, notes)
-        there, known = {_bare(file) for file in files} | names, metadata.files
-        missing = [name for name in known if name not in there]
-        known = [_PACKED.sub("", name) for name in known]
-        strange = [legible(file.path.name) for file in files if known and _bare(file) not in known]
-        for those, told, what in (
-            (missing, "names", "missing or no log"),
-            (strange, "does not name", "read"),
-        ):
-            if those:
-                verb = "is" if len(those) == 1 else "are"
-                notes.append(f"{METADATA} {told} {listed(those)}, which {verb} {what}")
+        there = {_bare(file) for file in files} | names
+        if missing := [name for name in metadata.files if name not in there]:
+            verb = "is" if len(missing) == 1 else "are"
+            notes.append(f"{METADATA} names {listed(missing)}, which {verb} missing or no log")
     if not files:
         raise LogError(f"{path}: the folder holds no log files; a bag folder or a file is needed")
     return Recording(path, tuple(files), tuple(notes), metadata.messages)

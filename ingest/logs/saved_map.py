@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-import math
 import re
 import struct
-from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path, PureWindowsPath
 from typing import TYPE_CHECKING, TypeGuard
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...topology.arrays import BoolArray, IntArray
 from ...topology.errors import LogError
 from ...topology.run import Grid
 from ...topology.wording import legible
 from ..remote.path import LogPath, RemotePath
+from .messages import one_line
 from .metadata import yaml_values
 
 if TYPE_CHECKING:
@@ -30,15 +28,9 @@ IMAGE_FORMATS = ("PPM", "PNG", "BMP", "JPEG")
 """Image formats by Pillow's names: those of map savers (its PPM includes PGM), and that of photos
 and plans."""
 
-MOST_PICTURE_BYTES = 3 << 26
-"""Largest picture that is decoded, in memory: 201 million shades of grey, or a quarter in colours.
-With it, reading takes less than 300 MB (measured: 275 MB)."""
-
-_PIXEL_BYTES = {"1": 1, "L": 1, "P": 1, "I;16": 2, "I;16B": 2, "I;16L": 2}
-"""Memory of a pixel by Pillow's modes; 4 bytes in the others."""
-
-STRIPE_CELLS = 1 << 20
-"""Cells of a picture that are looked at together; a cell takes some 20 bytes."""
+MOST_PIXELS = 1 << 26
+"""Largest picture that is decoded: 67 million shades of grey, of a byte each, or half as many
+others. With it, reading takes less than 300 MB."""
 
 SAVED_UNKNOWN = 50
 """Occupancy of unknown cells, of 255, as map savers write them: shade 205."""
@@ -111,8 +103,7 @@ def read_saved_map(path: Path) -> tuple[Grid, tuple[str, ...]]:
             notes = (f"its image {where} is not there; {image.name} beside it is read", *notes)
         return checked_grid(grid), notes
     except (ValueError, KeyError, OSError) as error:
-        text = legible(" ".join(str(error).split()))[:200]
-        raise LogError(f"{path}: is no map that can be read: {text}") from error
+        raise LogError(f"{path}: is no map that can be read: {one_line(error)}") from error
 
 
 _NONE = np.zeros((0, 0), bool)
@@ -150,105 +141,67 @@ def _number(found: dict[str, list[str]], key: str, otherwise: float | None = Non
 
 
 def _read(path: Path, found: dict[str, list[str]], like: Grid) -> tuple[Grid, tuple[str, ...]]:
-    """A picture as a grid like one, and what is to be told.
-
-    Strategy: the picture is decoded as a whole, its size known before, and looked at in stripes of
-    rows: once for its shades, once for its cells. Raises ValueError for invalid pictures.
-    """
+    """A picture as a grid like one, and what is to be told; its size is checked before it is
+    decoded. Raises ValueError for invalid pictures."""
     from PIL import Image
 
+    mode = (found.get("mode") or ["trinary"])[0].lower()
     known = Image.MAX_IMAGE_PIXELS
     try:
         Image.MAX_IMAGE_PIXELS = None  # the limit of our own is by memory
         with Image.open(path, formats=IMAGE_FORMATS) as image:
             image.draft("L", None)  # a JPEG in colours is decoded in shades of grey
             _check_size(image)
-            image.load()
-            return _cells_of(image, found, like)
+            grey, lossy = _grey(image), image.format == "JPEG"
+            told = mode != "trinary" and image.has_transparency_data
+            alpha = image.convert("LA").getchannel("A") if told else None
     # Pillow raises these on invalid data.
     except (OSError, SyntaxError, EOFError, struct.error, MemoryError) as error:
         formats = "PGM, PNG, BMP or JPEG"
         raise ValueError(f"{path.name} is no picture that can be read ({formats})") from error
     finally:
         Image.MAX_IMAGE_PIXELS = known
+    notes: list[str] = []
+    free, unknown = _meanings(found, mode, np.array(grey.histogram()), lossy, notes)
+    shade = np.asarray(grey)[::-1]  # the first row has the largest y
+    grid = like._replace(free=free[shade], unknown=unknown[shade])
+    if alpha is not None:
+        seen = np.asarray(alpha)[::-1] == 255
+        grid = grid._replace(free=grid.free & seen, unknown=grid.unknown | ~seen)
+    factor = 1
+    while -(-grey.width // factor) * -(-grey.height // factor) > MOST_CELLS:
+        factor += 1
+    if factor > 1:
+        grid = coarser(grid, factor)
+        size = f"{grey.width} x {grey.height}"
+        notes.append(
+            f"its picture of {size} cells is large; it is read in cells of {grid.resolution_m:g} m"
+        )
+    return grid, tuple(notes)
 
 
 def _check_size(image: Image) -> None:
     """ValueError for a picture that takes too much memory."""
-    pixel = _PIXEL_BYTES.get(image.mode, 4)
-    most = MOST_PICTURE_BYTES // pixel
+    grey = image.mode in ("1", "L", "P")
+    most = MOST_PIXELS if grey else MOST_PIXELS // 2
     if image.width * image.height > most:
-        grey = "" if pixel == 1 else "; in shades of grey it may be larger"
+        more = "" if grey else "; in shades of grey it may be larger"
         raise ValueError(
-            f"a picture of {image.width} x {image.height} is too large: {most:,} pixels{grey}"
+            f"a picture of {image.width} x {image.height} is too large: {most:,} pixels{more}"
         )
 
 
-def _cells_of(
-    image: Image, found: dict[str, list[str]], like: Grid
-) -> tuple[Grid, tuple[str, ...]]:
-    notes: list[str] = []
-    brightest = 1 << 16
-    if image.mode.startswith(("I", "F")):
-        brightest = int(max(np.asarray(part).max() for part in _stripes(image, 1)))
-        bits = max(8, brightest.bit_length())
-        if bits < 16:
-            notes.append(
-                f"its picture of 16 bits holds no value above {brightest}: read as {bits} bits"
-            )
-    shades = sum(
-        np.bincount(_shades(part, brightest)[..., 0].ravel(), minlength=256)
-        for part in _stripes(image, 1)
-    )
-    lossy = image.format == "JPEG"
-    free, unknown = _meanings(found, np.asarray(shades), lossy, notes)
-    opaque = (found.get("mode") or ["trinary"])[0].lower() == "trinary"
-    factor = math.ceil(math.sqrt(image.width * image.height / MOST_CELLS))
-    while -(-image.width // factor) * -(-image.height // factor) > MOST_CELLS:
-        factor += 1
-    parts = []
-    for part in _stripes(image, factor):
-        pixels = _shades(part, brightest)[::-1]  # the first row has the largest y
-        seen = (pixels[..., 1] == 255) | opaque
-        cells = like._replace(
-            free=free[pixels[..., 0]] & seen, unknown=unknown[pixels[..., 0]] | ~seen
-        )
-        parts.append(coarser(cells, factor))
-    if factor > 1:
-        cell = factor * like.resolution_m
-        size = f"{image.width} x {image.height}"
-        notes.append(f"its picture of {size} cells is large; it is read in cells of {cell:g} m")
-    grid = parts[0]._replace(
-        free=np.concatenate([part.free for part in parts]),
-        unknown=np.concatenate([part.unknown for part in parts]),
-    )
-    return grid, tuple(notes)
+def _grey(image: Image) -> Image:
+    """A picture of any kind as shades from 0, black, to 255, white."""
+    if image.mode.startswith("I"):  # of 16 bits
+        import PIL.Image
 
-
-def _stripes(image: Image, factor: int) -> Iterator[Image]:
-    """The picture in stripes, the lowest first, each but the last of a multiple of `factor`
-    rows."""
-    rows = max(1, STRIPE_CELLS // image.width // factor) * factor
-    for low in range(image.height, 0, -rows):
-        yield image.crop((0, max(0, low - rows), image.width, low))
-
-
-def _shades(part: Image, brightest: int) -> NDArray[np.uint8]:
-    """(h, w, 2) brightness (0 black to 255 white) and opacity of every pixel; brightest: the
-    largest value of a picture of 16 bits."""
-    if part.mode.startswith(("I", "F")):
-        most = (1 << max(8, brightest.bit_length())) - 1
-        values = np.asarray(part).astype(np.int64)
-        values = values >> 8 if most > 1 << 15 else values * 255 // most
-        shades = values.clip(0, 255).astype(np.uint8)
-        return np.stack([shades, np.full_like(shades, 255)], axis=-1)
-    if part.mode not in ("1", "L", "LA", "P", "PA", "RGB", "RGBA"):
-        part = part.convert("RGB")
-    return np.asarray(part.convert("LA"))
+        return PIL.Image.fromarray((np.asarray(image) >> 8).astype(np.uint8))
+    return image.convert("L")
 
 
 def _meanings(
-    found: dict[str, list[str]], shades: IntArray, lossy: bool, notes: list[str]
+    found: dict[str, list[str]], mode: str, shades: IntArray, lossy: bool, notes: list[str]
 ) -> tuple[BoolArray, BoolArray]:
     """(256,) which shades are free, and which unknown, by map_server's rules; shades: the number of
     pixels of each; lossy: they are not exact. What is to be told is added to the notes.
@@ -256,7 +209,6 @@ def _meanings(
     nav2's map_saver wrote free_thresh 0.25 for years, by which the unknown cells of its own
     pictures are free: a level of theirs below brighter ones stays unknown.
     """
-    mode = (found.get("mode") or ["trinary"])[0].lower()
     if mode not in ("trinary", "scale", "raw"):
         raise ValueError(f"its mode is {mode!r}, expected trinary, scale or raw")
     least, most = (

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any
 
 from .messages import Channel, DamageError
 
@@ -14,9 +14,6 @@ LINES = 4000
 
 _BESIDE_IDL = re.compile(r"^(=+|IDL:.*|[ \t]*#.*)$", re.MULTILINE)
 """Separators between the IDL files of a definition, and their includes."""
-
-DEPTH = 32
-"""Deepest nesting of types; those in use nest less than ten deep."""
 
 PARTS = 10_000
 """Most fields of a type including nested ones, with sequences counted once. The largest in use have
@@ -27,52 +24,18 @@ REMEMBERED_BYTES = 1 << 14
 message types used here."""
 
 
-_HEADER = ["int32", "uint32", "string"]
-_POSE = ["float64"] * 7
-
-EXPECTED = {
-    "odometry": [*_HEADER, "string", *_POSE],
-    "pose": [*_HEADER, *_POSE],
-    "pose_covariance": [*_HEADER, *_POSE, "[", "float64", "]"],
-    "pose_array": [*_HEADER, "[", *_POSE, "]"],
-    "transforms": ["[", *_HEADER, "string", *_POSE, "]"],
-    "laser_scan": [*_HEADER, *["float32"] * 7, "[", "float32", "]"],
-}
-"""Leading primitive fields of each kind of message with a columnar decoder."""
-
-
-def as_expected(channel: Channel, kind: str) -> bool:
-    """Whether the definition begins with the fields expected of the kind.
+def is_usual(channel: Channel) -> bool:
+    """Whether the definition of a type of ROS is ROS's own, so that its layout is known.
 
     True also for a log without definitions, or with one that cannot be read: the type's name is
     trusted then.
     """
-    if not channel.schema:
-        return True
     try:
-        fielddefs = _checked_store(channel).fielddefs
+        own = _checked_store(channel).fielddefs
+        usual = _checked_store(channel._replace(schema=b"")).fielddefs
     except DamageError:
         return True
-    expected = list(EXPECTED[kind])
-    if channel.encoding == "ros1":
-        expected.insert(expected.index("int32"), "uint32")
-    found = _primitives(fielddefs, channel.type_name)
-    return all(next(found, None) == want for want in expected)
-
-
-def _primitives(fielddefs: Any, type_name: str) -> Iterator[str]:
-    """The primitive fields of a type in order, sequences in brackets."""
-    waiting = [described for _, described in reversed(fielddefs[type_name][1])]
-    while waiting:
-        described = waiting.pop()
-        if isinstance(described, str):
-            yield described
-        elif described[0].name == "NAME":
-            waiting += [inner for _, inner in reversed(fielddefs[described[1]][1])]
-        elif described[0].name == "BASE":
-            yield described[1][0]
-        else:
-            waiting += ["]", described[1][0], "["]
+    return all(name not in usual or usual[name][1] == own[name][1] for name in own)
 
 
 def object_decoder(channel: Channel) -> Callable[[bytes], Any]:
@@ -126,47 +89,23 @@ def _store(type_name: str, encoding: str, schema: bytes, schema_encoding: str) -
     return store
 
 
-class _Extent(NamedTuple):
-    """parts: number of fields including nested ones; least: bytes of the shortest value."""
-
-    parts: int
-    least: int
-
-
 def _check_extent(fielddefs: Any, type_name: str) -> None:
     """Reject a type that is incomplete, or of which few bytes could make many objects."""
-    known: dict[str, _Extent | None] = {}
-
-    def of_type(name: str, depth: int) -> _Extent:
-        found = known.get(name)
-        if found is not None:
-            return found
+    waiting, parts = [type_name], 0
+    while waiting:
+        name = waiting.pop()
         if name not in fielddefs:
             raise DamageError(f"the definition of {type_name} lacks {name[:100]}")
-        if name in known or depth > DEPTH:
-            raise DamageError(f"{type_name} is nested too deeply")
-        known[name] = None
-        parts = [of_field(described, depth) for _, described in fielddefs[name][1]]
-        total = _Extent(1 + sum(p.parts for p in parts), sum(p.least for p in parts))
-        if total.parts > PARTS:
-            raise DamageError(f"{type_name} has more than {PARTS} fields")
-        known[name] = total
-        return total
-
-    def of_field(described: Any, depth: int) -> _Extent:
-        kind, content = described[0].name, described[1]
-        if kind == "NAME":
-            return of_type(content, depth + 1)
-        if kind == "BASE":
-            return _Extent(1, 4 if "string" in content[0] else 1)
-        inner, count = content
-        each = of_field(inner, depth)
-        if each.least == 0:
-            raise DamageError(f"{type_name} has an array of empty items")
-        if kind == "SEQUENCE":
-            return _Extent(1 + each.parts, 4)
-        # A sequence of numbers is read as one array.
-        numbers = inner[0].name == "BASE" and "string" not in inner[1][0]
-        return _Extent(1 if numbers else 1 + count * each.parts, count * each.least)
-
-    of_type(type_name, 0)
+        for _, described in fielddefs[name][1]:
+            kind, content = described[0].name, described[1]
+            inner, count = content if kind in ("ARRAY", "SEQUENCE") else (described, 1)
+            nested = inner[0].name == "NAME"
+            if kind == "ARRAY" and count == 0:
+                raise DamageError(f"{type_name} has an array of no items")
+            # Items of sequences, and numbers of arrays, are read by one piece of code.
+            count = count if kind == "ARRAY" and (nested or "string" in inner[1]) else 1
+            parts += count
+            if parts > PARTS:
+                raise DamageError(f"{type_name} has more than {PARTS} fields")
+            if nested:
+                waiting += [inner[1]] * count

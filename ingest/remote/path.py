@@ -10,7 +10,7 @@ import io
 import re
 from collections.abc import Iterator
 from concurrent.futures import Future
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -66,11 +66,6 @@ class _Node:
         for name in key.split("/") if key else ():
             node = node.children.setdefault(name, _Node())
         return node
-
-    def flat(self) -> _Node:
-        """A copy with the folder's direct entries only."""
-        children = {name: replace(node, children={}) for name, node in self.children.items()}
-        return replace(self, children=children)
 
 
 class RemotePath:
@@ -135,8 +130,8 @@ class RemotePath:
         return hash((self.root, self.key))
 
     def __reduce__(self) -> Any:
-        # Of a bag folder, its files are used; trees may be deeper than pickle goes.
-        found = self._found.flat() if self._found is not None else None
+        # A folder is listed again: trees may be deeper than pickle goes.
+        found = self._found if self._found is not None and not self._found.children else None
         return partial(RemotePath, allow_scan=self.allow_scan), (self.root, self.key, found)
 
     def __truediv__(self, name: str) -> RemotePath:

@@ -25,10 +25,6 @@ if TYPE_CHECKING:
 
 R = TypeVar("R")
 
-MOST_KEYS = 1 << 22
-"""Limit on a listing: it takes 2.4 GB (570 bytes a key, measured with 100,000)."""
-
-
 CLIENT: ClientConfig = {
     "connect_timeout": timedelta(seconds=10),
     "read_timeout": timedelta(seconds=30),  # without any byte; botocore's default is 60 s
@@ -133,11 +129,7 @@ def listed(root: str, prefix: str, *, named: str) -> Iterator[tuple[str, Stat]]:
     folder = prefix and f"{prefix}/"
     with _told(named):
         pages = obstore.list(store(root), prefix or None, chunk_size=1000)
-        count = 0
         while page := begun(partial(next, pages, ())).result():
-            count += len(page)
-            if count > MOST_KEYS:
-                raise LogError(f"{named}: holds more than {MOST_KEYS:,} keys; name prefixes in it")
             for meta in page:
                 if meta["path"].startswith(folder):
                     yield meta["path"], _stat(meta)
@@ -168,20 +160,13 @@ def store(root: str) -> ObjectStore:
 @contextmanager
 def _told(named: str) -> Iterator[None]:
     """obstore's errors as ours, without requests, responses and internals."""
-    from obstore.exceptions import BaseError, InvalidPathError
+    from obstore.exceptions import BaseError
 
     try:
         yield
-    except FileNotFoundError as error:
-        what = "no such bucket" if _code(str(error)) == "NoSuchBucket" else "no such object"
-        raise MissingObjectError(f"{named}: {what}") from error
-    except InvalidPathError as error:
-        told = _first_line(str(error))
-        raise LogError(
-            f"{named}: a key cannot be read by its name ({told}); name other prefixes"
-        ) from error
     except (BaseError, ValueError, OSError) as error:
-        raise LogError(f"{named}: {_why(error)}") from error
+        missing = isinstance(error, FileNotFoundError)
+        raise (MissingObjectError if missing else LogError)(f"{named}: {_why(error)}") from error
 
 
 _CREDENTIALS = (
@@ -193,6 +178,10 @@ _RANGES = "the server does not send parts of files (range requests); copy the lo
 _MEANT = (
     ("PreconditionError", "changed while it was read; read it again"),
     ("NoSuchBucket", "no such bucket"),
+    ("NotFoundError", "no such object"),
+    ("InvalidPathError", "a key cannot be read by its name; name other prefixes"),
+    ("PermissionDeniedError", "access is denied"),
+    ("UnauthenticatedError", "access is denied"),
     ("Range request not supported", _RANGES),
     ("non-partial response", _RANGES),
     ("http://169.254.169.254/", _CREDENTIALS),
@@ -204,31 +193,15 @@ _MEANT = (
 
 
 def _why(error: Exception) -> str:
-    """The reason of an error from its type and the relevant parts of its text."""
+    """The reason of an error from its type and text: without addresses, whose query may be a
+    signature."""
     kind, text = type(error).__name__, str(error)
     for word, meaning in _MEANT:
         if word in f"{kind} {text}":
             return meaning
-    head, _, inner = text.partition("Debug source")
-    status = re.search(r"status code: (\d{3}[A-Za-z ]*)", head)
-    answer = _code(head) or (status[1].strip() if status else "")
-    if kind in ("PermissionDeniedError", "UnauthenticatedError"):
-        return f"access is denied ({answer or kind})"
-    cause = re.search(r'message: "([^"]+)"', inner)
-    told = answer or (cause[1] if cause else _first_line(head))
-    return f"cannot be read: {told}"
-
-
-def _code(text: str) -> str:
-    """The error code in the XML of an S3 or Azure response; empty if there is none."""
-    found = re.search(r"<Code>([A-Za-z0-9.]{1,60})</Code>", text)
-    return found[1] if found else ""
-
-
-def _first_line(text: str) -> str:
-    """The first line without addresses, whose query may be a signature."""
-    line = text.strip().partition("\n")[0]
-    return re.sub(r"https?://\S+", "the server", line)[:200]
+    cause = re.search(r'message: "([^"]+)"', text)
+    line = cause[1] if cause else text.strip().partition("\n")[0]
+    return f"cannot be read: {re.sub(r'https?://[^ ]+', 'the server', line)[:200]}"
 
 
 def begun(call: Callable[[], R]) -> Future[R]:

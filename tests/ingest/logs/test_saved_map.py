@@ -95,7 +95,7 @@ def test_pictures_that_are_none_or_too_large(tmp_path: Path) -> None:
         picture.write_bytes(raw)
         with pytest.raises(LogError, match=r"no picture|cannot be read|no map"):
             read_log(path)
-    for size, why in ((5000, "no picture"), (10_000, "no picture"), (60_000, "too large")):
+    for size, why in ((5000, "no picture"), (8_000, "no picture"), (60_000, "too large")):
         picture.write_bytes(f"P5 {size} {size} 255\n".encode() + bytes(100))
         with pytest.raises(LogError, match=why):
             read_log(path)
@@ -120,10 +120,10 @@ def hall(width: int = 90, height: int = 60) -> np.ndarray:
 def test_a_picture_beyond_memory_is_refused_before_it_is_decoded(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(saved_map, "MOST_PICTURE_BYTES", 10_000)
+    monkeypatch.setattr(saved_map, "MOST_PIXELS", 6_000)
     path = saved(tmp_path, hall()[:, :, None].repeat(3, 2), FLAT.replace("m.pgm", "m.png"), "m.png")
     with pytest.raises(
-        LogError, match="too large: 2,500 pixels; in shades of grey it may be larger"
+        LogError, match="too large: 3,000 pixels; in shades of grey it may be larger"
     ):
         read_saved_map(path)
     saved(tmp_path, hall())

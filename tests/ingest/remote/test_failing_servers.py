@@ -91,7 +91,7 @@ def faults(servers: ModuleType) -> dict[str, tuple[Any, str]]:
                     403, {}, b"<Error><Code>AccessDenied</Code></Error>"
                 )
             ),
-            "access is denied (AccessDenied)",
+            "access is denied",
         ),
         "sends all": (servers.Fault(answer=lambda a: replace(a, status=200)), "range requests"),
         "another place": (lying(**{"Content-Range": "bytes 0-16/192641"}), "cannot be read"),
