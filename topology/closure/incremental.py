@@ -15,26 +15,14 @@ from ..arrays import BoolArray, FloatArray, IntArray
 from ..columns import take
 from ..connected import connected
 from ..matching.likelihood import BIT, LIKELIHOOD
-from .answers import (
-    AGREE,
-    APART,
-    COMMON,
-    DISAGREE,
-    TOGETHER,
-    TORN,
-    UNSURE,
-    Identification,
-    explained,
-    standing_doubts,
-    taken_back,
-)
+from .answers import AGREE, COMMON, DISAGREE, TOGETHER, TORN, UNSURE, Identification
 from .branches import branches_of
 from .candidates import Candidates, candidates
 from .dead_reckoning import DeadReckoning, scale_noise
 from .estimate import Estimate, optimise
 from .evidence import background, measured_rates, with_lattice
 from .growth import MapState
-from .joint_compatibility import agreeing
+from .joint_compatibility import NO_AGREEMENT, Agreement, agreeing
 from .manhattan import GridCorridors, GridHeadings, grid_corridors, grid_headings
 from .places import NOWHERE, Places, tabulate
 from .variance_components import with_shown_spread
@@ -80,8 +68,8 @@ class Closed:
 
     reckoning: the one given, with its noise raised by `caution` and by the residuals of the
     estimate; place: (p,) place of each pass, numbered by first visit; estimate: the optimised
-    positions; identifications: all accepted ones, and the refused ones with some evidence; grid:
-    headings by the building's grid, if it has one.
+    positions; identifications: all accepted ones, those taken back, and the refused candidates of
+    the last round; grid: headings by the building's grid, if it has one.
     """
 
     reckoning: DeadReckoning
@@ -122,7 +110,7 @@ def _in_rounds(closure: _Closure) -> Closed:
 
 
 class _Closure:
-    """The state of a closure: identifications, the present estimate, and what is in doubt."""
+    """The state of a closure: identifications and refusals, and the present estimate."""
 
     def __init__(
         self, reckoning: DeadReckoning, grid: GridHeadings | None, wrong_share: float
@@ -134,7 +122,8 @@ class _Closure:
         self._corridors: GridCorridors | None = None
         self._identifications: list[Identification] = []
         self._blocked: set[tuple[int, int]] = set()
-        self._doubts: dict[tuple[int, int], Identification] = {}
+        self._refused: list[Identification] = []
+        self._taken_back: list[Identification] = []
         self._place = np.arange(len(reckoning), dtype=np.int64)
         self._estimate = self._optimised(None)
 
@@ -148,10 +137,12 @@ class _Closure:
         found = take(found, ~_blocked(found, self._blocked, self._place))
         certain_now = _certain(state.places, found, self._least_odds)
         found = take(found, found.fits)
-        self._doubts = _doubts_of_round(self._doubts, state.places, found, self._least_odds, number)
+        agreement = NO_AGREEMENT
         if not certain_now and exact:
-            certain_now, reasons = _together(state, found, self._estimate, self._least_odds)
-            self._doubts |= explained(self._doubts, reasons)
+            agreement = agreeing(self._estimate, found, state.common, least_odds=self._least_odds)
+            certain_now = _together(state.places, found, agreement)
+        refused = _refused(state.places, found, agreement, self._least_odds)
+        self._refused = [replace(q, round=number) for q in refused]
         return [replace(q, round=number) for q in certain_now]
 
     def identify(self, identifications: list[Identification]) -> None:
@@ -174,7 +165,10 @@ class _Closure:
         if not outliers:
             return
         self._blocked |= {(q.first, q.second) for q in outliers}
-        self._doubts |= {(q.first, q.second): taken_back(q, number) for q in outliers}
+        self._taken_back += [
+            replace(q, accepted=False, reason=TORN, round=number, accepted_round=q.round)
+            for q in outliers
+        ]
         self._identifications = [q for q in self._identifications if q not in outliers]
         self._place = _partition(len(self._reckoning), self._identifications)
         self._estimate = self._optimised(self._estimate.pose)
@@ -185,8 +179,10 @@ class _Closure:
             # Straight corridors only help to identify; the map has them as they were measured.
             self._corridors = None
             self._estimate = self._optimised(self._estimate.pose)
-        identifications = self._identifications + standing_doubts(self._place, self._doubts)
-        return Closed(self._reckoning, self._place, self._estimate, identifications, self._grid)
+        place = self._place
+        refused = [q for q in self._taken_back + self._refused if place[q.first] != place[q.second]]
+        identifications = self._identifications + refused
+        return Closed(self._reckoning, place, self._estimate, identifications, self._grid)
 
     def _map_state(self) -> MapState:
         """The state of the map at the present estimate.
@@ -350,21 +346,12 @@ class _LikelyCandidates:
         return [r for r in rows if r is not None and r != row]
 
 
-def _together(
-    state: MapState, found: Candidates, estimate: Estimate, least_odds: float
-) -> tuple[list[Identification], dict[tuple[int, int], str]]:
-    """The candidates that are certain only jointly; or the reason for their refusal, by passes."""
-    agreement = agreeing(estimate, found, state.common, least_odds=least_odds)
-    rows = agreement.rows.tolist()
-    if agreement.reason:
-        first_pass = state.places.first
-        ends = [(int(first_pass[found.a[k]]), int(first_pass[found.b[k]])) for k in rows]
-        return [], {(min(pair), max(pair)): agreement.reason for pair in ends}
-    answers = [
-        _identification(state.places, found, row, value, reason=TOGETHER, accepted=True)
-        for row, value in zip(rows, agreement.odds.tolist(), strict=True)
+def _together(places: Places, found: Candidates, agreement: Agreement) -> list[Identification]:
+    """The candidates that are certain only jointly."""
+    return [
+        _identification(places, found, row, value, reason=TOGETHER, accepted=True)
+        for row, value in zip(agreement.rows.tolist(), agreement.odds.tolist(), strict=False)
     ]
-    return answers, {}
 
 
 def _identification(
@@ -410,28 +397,20 @@ def weakest_cut(links: list[Identification]) -> list[Identification]:
     return []
 
 
-def _doubts_of_round(
-    earlier: dict[tuple[int, int], Identification],
-    places: Places,
-    found: Candidates,
-    least_odds: float,
-    number: int,
-) -> dict[tuple[int, int], Identification]:
-    """Refused identifications by their passes: earlier ones, and the candidates of this round.
-
-    An earlier one that is no candidate any more was excluded by the estimate.
-    """
-    doubts = {
-        pair: q if q.reason in (TORN, APART) else replace(q, reason=APART, round=number)
-        for pair, q in earlier.items()
-    }
-    total = found.total
+def _refused(
+    places: Places, found: Candidates, agreement: Agreement, least_odds: float
+) -> list[Identification]:
+    """The candidates with some evidence as refused identifications, with the reasons."""
+    total, refused = found.total, []
+    refused_together = set(agreement.rows.tolist()) if agreement.reason else set()
     for k in np.flatnonzero(found.position + found.around.branches > 0).tolist():
-        reason = UNSURE
         if found.around.conflict[k] > 2:
             reason = DISAGREE
         elif total[k] + found.aliasing_penalty[k] >= least_odds > total[k]:
             reason = COMMON
-        q = _identification(places, found, k, float(total[k]), reason=reason, accepted=False)
-        doubts[q.first, q.second] = replace(q, round=number)
-    return doubts
+        else:
+            reason = agreement.reason if k in refused_together else UNSURE
+        refused.append(
+            _identification(places, found, k, float(total[k]), reason=reason, accepted=False)
+        )
+    return refused

@@ -42,7 +42,7 @@ class Agreement(NamedTuple):
     reason: str = ""
 
 
-_NO_AGREEMENT = Agreement(np.zeros(0, np.int64), np.zeros(0))
+NO_AGREEMENT = Agreement(np.zeros(0, np.int64), np.zeros(0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,7 +89,7 @@ def agreeing(
     """
     rows = np.sort(np.argsort(-found.total, kind="stable")[:MOST])
     if len(rows) < 2:
-        return _NO_AGREEMENT
+        return NO_AGREEMENT
     a, b = found.a[rows], found.b[rows]
     prior = _JointShifts(
         *_shifts(estimate, a, b), found.alike[rows], take(found.ground, rows), common
@@ -101,7 +101,7 @@ def agreeing(
     best = int(set_odds.argmax())
     members = np.sort(np.array(sets[best][1]))
     if len(members) < 2 or set_odds[best] < least_odds:
-        return _NO_AGREEMENT
+        return NO_AGREEMENT
     rivals = [value for value, other in sets if excluded[np.ix_(members, np.array(other))].any()]
     if set_odds[best] - max(rivals, default=-np.inf) < EVIDENCE.lead:
         return Agreement(rows[members], np.zeros(0), RIVALS)
