@@ -7,7 +7,6 @@ with a relative standard error of √(2 / count), which suffices for gating cand
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -172,16 +171,8 @@ class SampledMarginals:
 
 def white(seed: int, shapes: Sequence[tuple[int, ...]]) -> list[FloatArray]:
     """Arrays of white noise, consecutive parts of one stream that is the same at every call."""
-    sizes = [math.prod(shape) for shape in shapes]
-    stream = _drawn.get(seed)
-    if stream is None or len(stream) < sum(sizes):
-        stream = np.random.default_rng(seed).standard_normal(sum(sizes))
-        stream.flags.writeable = False
-        if len(stream) <= MOST_DRAWN:
-            _drawn[seed] = stream
-    ends = np.cumsum(sizes).tolist()
-    parts = zip(shapes, sizes, ends, strict=True)
-    return [stream[end - size : end].reshape(shape) for shape, size, end in parts]
+    rng = np.random.default_rng(seed)
+    return [rng.standard_normal(shape) for shape in shapes]
 
 
 def of_unit_variance(noise: FloatArray) -> FloatArray:
@@ -192,12 +183,6 @@ def of_unit_variance(noise: FloatArray) -> FloatArray:
     the first 20 places by 3 % in the mean.
     """
     return np.asarray(noise / np.sqrt(np.mean(noise**2, axis=-1, keepdims=True)))
-
-
-MOST_DRAWN = 2**21
-"""Length of a stream that is kept for the next call, 16 MB: drawing takes longer than solving."""
-
-_drawn: dict[int, FloatArray] = {}  # by seed, the longest beginning of its stream so far
 
 
 def _jacobians(
