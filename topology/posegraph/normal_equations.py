@@ -54,7 +54,7 @@ class Pattern:
 
     variable: (n, 3) column of each pose component, -1 where it is fixed; indices, indptr: pattern
     of A (CSC); slot: (4 m + u, 9) index into A's data of every entry of each 3 × 3 block, one past
-    the end for fixed components; diagonal: (size,) indices of the diagonal; rigid: see `Skeleton`.
+    the end for fixed components; diagonal: (size,) indices of the diagonal.
     """
 
     variable: IntArray
@@ -63,7 +63,6 @@ class Pattern:
     indptr: NDArray[np.int32]
     slot: IntArray
     diagonal: IntArray
-    rigid: bool
 
 
 def build_pattern(graph: PoseGraph, frame: Skeleton) -> Pattern:
@@ -112,7 +111,6 @@ def build_pattern(graph: PoseGraph, frame: Skeleton) -> Pattern:
         np.concatenate([[0], np.cumsum(per_column)]).astype(np.int32),
         slot[block_of[: 4 * m + len(u)]],
         diagonal[free],
-        frame.rigid,
     )
 
 
@@ -120,8 +118,7 @@ def build_pattern(graph: PoseGraph, frame: Skeleton) -> Pattern:
 class NormalEquations:
     """The normal equations at one point: data of A in the pattern's order, gradient, and border.
 
-    belief: (k,) 1 / σ² of the shared errors, included in `corner`; definite: whether A is known to
-    be positive definite.
+    belief: (k,) 1 / σ² of the shared errors, included in `corner`.
     """
 
     pattern: Pattern
@@ -131,7 +128,6 @@ class NormalEquations:
     border_gradient: FloatArray
     corner: FloatArray
     belief: FloatArray
-    definite: bool
 
     def factorise(self, damping: float = 0.0) -> Factor:
         """Factors of the damped system, positive definite for any graph.
@@ -145,7 +141,7 @@ class NormalEquations:
         scale = np.where(diagonal > 0, diagonal, 1.0)
         loading = np.where(diagonal > 0, damping + _LOADING, 1.0) * scale
         lu = self._factored(loading) if p.size else None
-        if lu is not None and damping < _FREE and not self.definite:
+        if lu is not None and damping < _FREE:
             free = lu.U.diagonal() <= _FREE * scale
             if free.any():
                 lu = self._factored(loading + np.where(free, scale, 0.0))
@@ -263,8 +259,7 @@ def linearise(graph: PoseGraph, pattern: Pattern, at: Point) -> NormalEquations:
         weighted = np.matmul(graph.information * at.edge_weight[:, None, None], J_b)
         corner = np.einsum("eik,eil->kl", J_b, weighted) + np.diag(belief)
         slope = -np.einsum("eik,ei->k", weighted, error) - belief * shared
-    definite = pattern.rigid and bool(np.all(at.edge_weight > _FREE))
-    return NormalEquations(pattern, data, gradient, border, slope, corner, belief, definite)
+    return NormalEquations(pattern, data, gradient, border, slope, corner, belief)
 
 
 def _rotated(information: FloatArray, c: FloatArray, s: FloatArray) -> FloatArray:
