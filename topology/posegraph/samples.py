@@ -8,7 +8,7 @@ with a relative standard error of √(2 / count), which suffices for gating cand
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -27,9 +27,9 @@ class _Linearised:
     """A graph linearised and factorised at its solution.
 
     J_i, J_j, J_b: derivatives of the edge errors with respect to source pose, target pose and
-    shared errors; own, own_known: square roots R of the information of edges and priors, so that
-    Rᵀ e is white; root: R with the weights of the solution; push, push_known: sparse maps from
-    white errors of edges and priors to the gradient.
+    shared errors; root, root_known: square roots R of the information of edges and priors, with the
+    weights of the solution, so that Rᵀ e is white; push, push_known: sparse maps from white errors
+    of edges and priors to the gradient.
     """
 
     graph: PoseGraph
@@ -38,31 +38,22 @@ class _Linearised:
     J_i: FloatArray
     J_j: FloatArray
     J_b: FloatArray
-    own: FloatArray
-    own_known: FloatArray
     root: FloatArray
+    root_known: FloatArray
     push: sparse.csr_array[np.float64]
     push_known: sparse.csr_array[np.float64]
 
     @classmethod
-    def of(cls, graph: PoseGraph, solution: Point, *, outliers: bool) -> _Linearised:
-        """Linearise at `solution`; outliers: see `SampledMarginals.of`."""
+    def of(cls, graph: PoseGraph, solution: Point) -> _Linearised:
+        """Linearise at `solution`."""
         pattern = build_pattern(graph, skeleton(graph))
         factor = linearise(graph, pattern, solution).factorise()
         J_i, J_j = _jacobians(graph, solution.pose, solution.shared)
         J_m = measurement_jacobian(graph, solution.pose, solution.shared)
-        weights = (solution.edge_weight[:, None, None], solution.prior_weight[:, None, None])
-        root_information, root_prior = (square_root(of.information) for of in (graph, graph.priors))
-        if outliers:
-            root_information, root_prior = (
-                root_information * np.sqrt(weights[0]),
-                root_prior * np.sqrt(weights[1]),
-            )
-            scaled, scaled_prior = root_information, root_prior
-        else:
-            scaled, scaled_prior = root_information * weights[0], root_prior * weights[1]
-        push = _scattered(pattern, graph.source, J_i.transpose(0, 2, 1) @ scaled)
-        push = push + _scattered(pattern, graph.target, J_j.transpose(0, 2, 1) @ scaled)
+        root = square_root(graph.information * solution.edge_weight[:, None, None])
+        root_known = square_root(graph.priors.information * solution.prior_weight[:, None, None])
+        push = _scattered(pattern, graph.source, J_i.transpose(0, 2, 1) @ root)
+        push = push + _scattered(pattern, graph.target, J_j.transpose(0, 2, 1) @ root)
         return cls(
             graph=graph,
             pattern=pattern,
@@ -70,11 +61,10 @@ class _Linearised:
             J_i=J_i,
             J_j=J_j,
             J_b=J_m @ graph.shared.sensitivity,
-            own=root_information,
-            own_known=root_prior,
-            root=scaled,
+            root=root,
+            root_known=root_known,
             push=push,
-            push_known=_scattered(pattern, graph.priors.node, scaled_prior),
+            push_known=_scattered(pattern, graph.priors.node, root_known),
         )
 
     def moved(
@@ -126,40 +116,28 @@ class SampledMarginals:
         error = system.J_i @ self.error[graph.source] + system.J_j @ self.error[graph.target]
         if len(self.shared):
             error = error + system.J_b @ self.shared
-        return self._z.reshape(error.shape) - system.own.transpose(0, 2, 1) @ error
+        return self._z.reshape(error.shape) - system.root.transpose(0, 2, 1) @ error
 
     @cached_property
     def prior_residual(self) -> FloatArray:
         """(u, 3, count) the same for the priors."""
         system, count = self._system, self.error.shape[2]
-        error = system.own_known.transpose(0, 2, 1) @ self.error[system.graph.priors.node]
+        error = system.root_known.transpose(0, 2, 1) @ self.error[system.graph.priors.node]
         return self._z_known.reshape(-1, 3, count) - error
 
     @classmethod
-    def of(
-        cls, graph: PoseGraph, solution: Point, count: int = 64, *, outliers: bool = True
-    ) -> SampledMarginals:
+    def of(cls, graph: PoseGraph, solution: Point, count: int = 64) -> SampledMarginals:
         """Sample the linearised posterior by solving for perturbed measurements.
 
         With H = Jᵀ Ω J and white z, H⁻¹ Jᵀ Ω^½ z has the covariance H⁻¹. The noise is the same at
-        every call. One factorisation and `count` solves. outliers: whether a measurement with
-        weight w at the solution is taken to be an outlier with information w Ω; otherwise it has
-        the error that it states, and is only weighted down by the solver: H⁻¹ Jᵀ w Ω^½ z.
+        every call. One factorisation and `count` solves. A measurement with weight w at the
+        solution is taken to be an outlier with information w Ω.
         """
-        system = _Linearised.of(graph, solution, outliers=outliers)
+        system = _Linearised.of(graph, solution)
         sizes = (3 * len(graph.source), 3 * len(graph.priors), len(graph.shared))
         z, z_known, z_shared = white(20040, [(size, count) for size in sizes])
         error, shared = system.moved(z, z_known, z_shared)
         return cls(np.asarray(solution.pose), error, shared, system, z, z_known)
-
-    def by_edges(self, sigma: FloatArray) -> SampledMarginals:
-        """The same samples if the only errors were those of the edges, with 1 sigma (m, 3) each [m,
-        m, rad]. `count` more solves. Only for samples made with outliers=False."""
-        error_samples = sigma[:, :, None] * self._z.reshape(-1, 3, self.error.shape[2])
-        z = (self._system.own.transpose(0, 2, 1) @ error_samples).reshape(self._z.shape)
-        z_known = np.zeros_like(self._z_known)
-        error, shared = self._system.moved(z, z_known, np.zeros_like(self.shared))
-        return replace(self, error=error, shared=shared, _z=z, _z_known=z_known)
 
     def relative(self, a: IntArray, b: IntArray) -> FloatArray:
         """(k, 3, 3) sample covariance of T_a_b, with a relative standard error of √(2 / count);
