@@ -254,7 +254,7 @@ def _priors(grid: GridHeadings | None, corridors: GridCorridors | None, first_li
         count = len(corridors.direction)
         row = np.concatenate([row, first_line + np.arange(count)])
         turn = np.concatenate([turn, corridors.direction])
-        sigma = np.concatenate([sigma, corridors.spread_rad])
+        sigma = np.concatenate([sigma, np.full(count, grid.spread_rad)])
         kernel = np.concatenate([kernel, np.full(count, np.inf)])
     return Priors.headings(row, turn, sigma, kernel)
 

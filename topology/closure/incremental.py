@@ -25,7 +25,6 @@ from .growth import MapState
 from .joint_compatibility import NO_AGREEMENT, Agreement, agreeing
 from .manhattan import GridCorridors, GridHeadings, grid_corridors, grid_headings
 from .places import NOWHERE, Places, tabulate
-from .variance_components import with_shown_spread
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,7 +192,9 @@ class _Closure:
         state = map_state(self._reckoning, self._place, self._estimate)
         if self._grid is None or not state.common.lattice.repeats:
             return state
-        self._corridors = _straight(self._corridors, self._grid, state, self._estimate)
+        if self._corridors is None:
+            turn, core_m = self._estimate.pose[:, 2], state.common.core_m
+            self._corridors = grid_corridors(self._reckoning, self._grid, turn, core_m)
         self._estimate = self._optimised(self._estimate.pose)
         return map_state(self._reckoning, self._place, self._estimate)
 
@@ -206,15 +207,6 @@ class _Closure:
             grid=self._grid,
             corridors=self._corridors,
         )
-
-
-def _straight(
-    corridors: GridCorridors | None, grid: GridHeadings, state: MapState, estimate: Estimate
-) -> GridCorridors:
-    """Corridors along the grid; known ones with their deviations from the grid estimated again."""
-    if corridors is None:
-        return grid_corridors(state.reckoning, grid, estimate.pose[:, 2], state.common.core_m)
-    return with_shown_spread(corridors, estimate, grid)
 
 
 def map_state(reckoning: DeadReckoning, place: IntArray, estimate: Estimate) -> MapState:

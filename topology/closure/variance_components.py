@@ -17,12 +17,11 @@ from ..arrays import FloatArray, IntArray
 from ..columns import take
 from ..odometry import Odometry
 from ..posegraph.graph import edge_errors, prior_errors
-from ..posegraph.marginals import Marginals
 from ..posegraph.samples import SampledMarginals, square_root
 from ..topomap import RunNoise
 from .dead_reckoning import RANDOM, DeadReckoning, dead_reckoning
 from .estimate import ESTIMATE, Estimate, leg_covariance, optimise
-from .manhattan import GridCorridors, GridHeadings, with_spread
+from .manhattan import GridHeadings, with_spread
 
 COMPONENTS = (
     "along_m_per_sqrt_m",
@@ -108,32 +107,6 @@ def fitted_noise(
     if grid is not None and grid.spread_rad > PRIOR.most_spread_rad:
         return fitted_noise(unfitted, odometry, place, estimate)
     return Fitted(reckoning, estimate, grid)
-
-
-def with_shown_spread(
-    corridors: GridCorridors, estimate: Estimate, grid: GridHeadings
-) -> GridCorridors:
-    """The corridors with their deviations from the grid by the estimate, for each axis of the grid.
-
-    estimate: optimised with these corridors; grid: of the corridors. One step of the variance
-    component estimate, with the prior of the grid.
-    """
-    graph, solution = estimate.graph, estimate.solution
-    lines, side = slice(len(graph.priors) - len(corridors.side), None), corridors.side
-    deviation = prior_errors(graph, solution.pose)[lines, 2]
-    # A subset represents all, for speed in long runs. Samples would depend on the frame.
-    sample = slice(None, None, -(-len(deviation) // ESTIMATE.samples) or 1)
-    node = graph.priors.node[lines][sample]
-    remaining = Marginals.of(graph, solution).joint(node, node)[0][:, 2, 2]
-    represented = np.bincount(side, minlength=2) / np.maximum(
-        np.bincount(side[sample], minlength=2), 1
-    )
-    freedom = represented * np.bincount(
-        side[sample], 1 - remaining / corridors.spread_rad[sample] ** 2, 2
-    )
-    prior = PRIOR.freedom * grid.spread_rad**2
-    variance = (np.bincount(side, deviation**2, 2) + prior) / (freedom + PRIOR.freedom)
-    return replace(corridors, spread_rad=np.sqrt(variance)[side])
 
 
 def _variance_factors(
