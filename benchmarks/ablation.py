@@ -55,7 +55,6 @@ from topobatch.topology.closure import (
     estimate,
     growth,
     incremental,
-    joint_compatibility,
     lattice,
     manhattan,
     missed_detections,
@@ -209,7 +208,6 @@ REPLACED = {
     ),
     "neighbours": (candidates, "among_neighbours", lambda common, odds, *args: odds),
     "negative information": (negative_information.DrivenGround, "share", _zeros(1)),
-    "joint: one step off": (joint_compatibility, "_one_step_off", lambda *args: -np.inf),
     "closed again: grid off": (alternatives, "closure_without_grid", incremental.full_closure),
     "closed again: no repeats": (alternatives, "_repeats", lambda *args: False),
     "passed: along branches": (
