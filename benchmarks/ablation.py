@@ -196,11 +196,6 @@ REPLACED = {
     "rivals": (incremental._LikelyCandidates, "against", lambda *args: set()),
     "rivals: of neighbours": (incremental._LikelyCandidates, "_supporting", lambda *args: []),
     "null pairs": (candidates, "_null_pairs", lambda *args: np.zeros(0)),
-    "null pairs: slack": (
-        candidates,
-        "calibrated_odds",
-        lambda alike, nulls, slack, f=candidates.calibrated_odds: f(alike, nulls, 0.0),
-    ),
     "null pairs: one step off": (
         lattice.Lattice,
         "is_step",

@@ -40,8 +40,7 @@ class EvidenceSettings:
     """Places in a batch of the null model, which fits the cache."""
     lead: float = 3.0
     """Required lead over alternatives [nats], 20 to one: of sets of identifications over those that
-    exclude one of them, of each candidate that joins a set (`joint_compatibility.py`), and of
-    surroundings over null pairs that are nearly as similar (`candidates.py`)."""
+    exclude one of them, and of each candidate that joins a set (`joint_compatibility.py`)."""
 
 
 EVIDENCE = EvidenceSettings()
