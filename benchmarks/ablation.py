@@ -196,11 +196,6 @@ REPLACED = {
     "rivals": (incremental._LikelyCandidates, "against", lambda *args: set()),
     "rivals: of neighbours": (incremental._LikelyCandidates, "_supporting", lambda *args: []),
     "null pairs": (candidates, "_null_pairs", lambda *args: np.zeros(0)),
-    "null pairs: one step off": (
-        lattice.Lattice,
-        "is_step",
-        lambda lattice, shift: np.zeros(len(shift), bool),
-    ),
     "neighbours": (candidates, "among_neighbours", lambda common, odds, *args: odds),
     "negative information": (negative_information.DrivenGround, "share", _zeros(1)),
     "closed again: grid off": (alternatives, "closure_without_grid", incremental.full_closure),

@@ -162,11 +162,6 @@ def _null_pairs(state: MapState, pairs: _Pairs) -> FloatArray:
     _, d2 = position_odds(state.common, pairs.shift, pairs.shift_covariance(state.common))
     apart = np.hypot(*pairs.shift.T) > state.common.core_m
     rows = np.flatnonzero((d2 > LIKELIHOOD.gate_chi2(2)) & apart)
-    is_step = state.common.lattice.is_step(pairs.shift[rows])
-    if is_step.sum() >= np.exp(EVIDENCE.lead):
-        # Places one lattice step apart are the ones that could be confused. So many of them
-        # suffice for odds of `lead`.
-        rows = rows[is_step]
     rows = rows[:: -(-len(rows) // CANDIDATES.most_strangers) or 1]
     return np.sort(_surroundings(state, take(pairs, rows)).odds)
 
