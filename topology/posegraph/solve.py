@@ -34,9 +34,6 @@ class SolverSettings:
     """Converged when the cost exceeds its minimum by less than this, in units of χ²."""
     first_damping: float = 1e-4
     """Damping, relative to the diagonal, after the first rejected step."""
-    chord_share: float = 0.01
-    """The last factorisation is reused (chord method) for steps that promise to lower the cost by
-    no more than this share."""
     patience: int = 2
     """Number of consecutive full steps that may raise the cost before the solver returns to the
     best point."""
@@ -83,24 +80,6 @@ def solve(graph: PoseGraph, settings: SolverSettings = SolverSettings()) -> Solu
     return _Problem(graph).minimise(settings)
 
 
-def _excess(promised: float, last_promised: float) -> float:
-    """Estimate of how far the cost lies above its minimum, from the decreases that two
-    consecutive full steps promised.
-
-    Where the curvature is a share s of that of the factors, a step covers the share s of the way:
-    the next one promises (1 − s)² as much, and the cost is promised / s too high. s = 1 for exact
-    curvature, less with robust kernels or reused factors.
-    """
-    share = 1.0 - np.sqrt(min(promised / last_promised, 1.0)) if last_promised > 0 else 0.0
-    return promised / max(share, _LEAST_SHARE)
-
-
-def _converged(moved: Solution, current: Solution, iterations: int) -> Solution:
-    """The better end of the last step, marked as converged."""
-    best = moved if moved.cost <= current.cost else current
-    return replace(best, iterations=iterations, converged=True)
-
-
 class _Damping:
     """Levenberg–Marquardt damping, relative to the diagonal, by the gain ratio of steps (Nielsen,
     IMM-REP-1999-05, § 4.1)."""
@@ -123,13 +102,6 @@ class _Damping:
         self._growth *= 2.0
 
 
-_LEAST_SHARE = 1e-3
-"""Lower bound of the curvature, as a share of that of the factors."""
-
-_MOST_CHORDS = 4
-"""Steps with the same factors: they converge linearly, so that a few suffice."""
-
-
 class _Problem:
     """A graph with all that stays constant between iterations."""
 
@@ -147,28 +119,15 @@ class _Problem:
         """
         best = current = self._evaluate(np.array(self.graph.pose), np.zeros(len(self.graph.shared)))
         damping = _Damping(settings.first_damping)
-        rises, iterations, chords, last_promised = 0, 0, 0, 0.0
-        factor: Factor | None = None
+        rises, iterations = 0, 0
         while iterations < settings.max_iterations:
             system = linearise(self.graph, self.pattern, current)
             tolerance = settings.relative_tolerance * best.cost + settings.absolute_tolerance
-            if factor is not None and current is best and chords < _MOST_CHORDS:
-                chords += 1
-                # Near the minimum the last factors are good enough, at a tenth of the cost.
-                moved, promised = self._step(system, factor, current)
-                if _excess(promised, last_promised) <= tolerance:
-                    return _converged(moved, best, iterations)
-                if promised <= settings.chord_share * best.cost and moved.cost <= best.cost:
-                    current, best, last_promised = moved, moved, promised
-                    continue
-            iterations, chords, undamped = iterations + 1, 0, damping.now == 0
-            factors = system.factorise(damping.now)
-            moved, promised = self._step(system, factors, current)
-            factor = factors if undamped else None
-            if undamped and current is best:
-                if _excess(promised, last_promised) <= tolerance:
-                    return _converged(moved, best, iterations)
-                last_promised = promised
+            iterations, undamped = iterations + 1, damping.now == 0
+            moved, promised = self._step(system, system.factorise(damping.now), current)
+            if undamped and current is best and promised <= tolerance:
+                end = moved if moved.cost <= best.cost else best
+                return replace(end, iterations=iterations, converged=True)
             if moved.cost <= best.cost:
                 damping.adapt(best.cost - moved.cost, promised)
                 if promised <= tolerance:
