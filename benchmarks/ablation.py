@@ -107,10 +107,8 @@ NUMBERS: dict[str, dict[str, float]] = {
     "phantoms": {"DRIVEN_BY.least_odds": ALWAYS},
     "phantoms: straight": {"DRIVEN_BY.straight_gain": 0.0},
     "phantoms: least miss rate": {"DRIVEN_BY.least_miss_rate": 1e-6},
-    "phantoms: least rate": {"DRIVEN_BY.least_phantom_rate": 1e-6},
     "views: loops": {"VIEW_LOOPS.tests": 0},
     "views: doubt": {"VIEW_LOOPS.doubt": 1.0},
-    "views: known": {"VIEW_LOOPS.known_m": 0.0},
 }
 """Mechanisms, and the numbers that disable each: a constant of `CONSTANTS`, and a field of it."""
 
