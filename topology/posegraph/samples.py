@@ -15,10 +15,17 @@ import numpy as np
 from scipy import sparse
 
 from ..arrays import FloatArray, IntArray
-from ..se2 import turned_axes
-from .graph import PoseGraph, corrected_measurement, edge_errors
+from .graph import PoseGraph
 from .marginals import relative_jacobians
-from .normal_equations import Factor, Pattern, Point, build_pattern, linearise, measurement_jacobian
+from .normal_equations import (
+    Factor,
+    Pattern,
+    Point,
+    build_pattern,
+    linearise,
+    measurement_jacobian,
+    pose_jacobians,
+)
 from .skeleton import skeleton
 
 
@@ -48,7 +55,7 @@ class _Linearised:
         """Linearise at `solution`."""
         pattern = build_pattern(graph, skeleton(graph))
         factor = linearise(graph, pattern, solution).factorise()
-        J_i, J_j = _jacobians(graph, solution.pose, solution.shared)
+        J_i, J_j = pose_jacobians(graph, solution.pose, solution.shared)
         J_m = measurement_jacobian(graph, solution.pose, solution.shared)
         root = square_root(graph.information * solution.edge_weight[:, None, None])
         root_known = square_root(graph.priors.information * solution.prior_weight[:, None, None])
@@ -161,21 +168,6 @@ def of_unit_variance(noise: FloatArray) -> FloatArray:
     the first 20 places by 3 % in the mean.
     """
     return np.asarray(noise / np.sqrt(np.mean(noise**2, axis=-1, keepdims=True)))
-
-
-def _jacobians(
-    graph: PoseGraph, pose: FloatArray, shared: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """(m, 3, 3) each: derivatives of the edge errors by source pose and target pose, as in
-    `linearise`."""
-    T_i_j, error = corrected_measurement(graph, shared), edge_errors(graph, pose, shared)
-    x, y, _ = (pose[graph.target] - pose[graph.source]).T
-    J_j = turned_axes(-(pose[graph.source, 2] + T_i_j[:, 2] + graph.swing * error[:, 2]))
-    J_i = -J_j
-    lever = J_i[:, :2, 0] * -y[:, None] + J_i[:, :2, 1] * x[:, None]
-    J_i[:, :2, 2] = (1 - graph.swing)[:, None] * lever
-    J_j[:, :2, 2] = graph.swing[:, None] * lever
-    return J_i, J_j
 
 
 def square_root(information: FloatArray) -> FloatArray:
