@@ -191,8 +191,6 @@ REPLACED = {
     "taking back": (incremental, "_outliers", lambda *args: []),
     "joint compatibility": (incremental, "_together", lambda *args: ([], {})),
     "straight corridors": (incremental, "grid_corridors", _none),
-    "rivals": (incremental._LikelyCandidates, "against", lambda *args: set()),
-    "rivals: of neighbours": (incremental._LikelyCandidates, "_supporting", lambda *args: []),
     "null pairs": (candidates, "_null_pairs", lambda *args: np.zeros(0)),
     "neighbours": (candidates, "among_neighbours", lambda common, odds, *args: odds),
     "negative information": (negative_information.DrivenGround, "share", _zeros(1)),

@@ -6,8 +6,9 @@ identifications and optimises the pose graph again, which leaves less uncertaint
 
 from __future__ import annotations
 
+from collections import defaultdict
 from dataclasses import dataclass, replace
-from itertools import count, product
+from itertools import count
 
 import numpy as np
 
@@ -24,7 +25,7 @@ from .evidence import background, measured_rates, with_lattice
 from .growth import MapState
 from .joint_compatibility import NO_AGREEMENT, Agreement, agreeing
 from .manhattan import GridCorridors, GridHeadings, grid_corridors, grid_headings
-from .places import NOWHERE, Places, tabulate
+from .places import Places, tabulate
 
 
 @dataclass(frozen=True, slots=True)
@@ -265,77 +266,30 @@ def _alignment_turns(place: IntArray, identifications: list[Identification]) -> 
 
 
 def _certain(places: Places, found: Candidates, least_odds: float) -> list[Identification]:
-    """The candidates whose log odds against all they exclude reach `least_odds`, best first."""
-    total, likely = found.total, _LikelyCandidates.of(places, found)
+    """The candidates whose log odds against all they exclude reach `least_odds`, best first.
+
+    "a is b" excludes "a is c" unless b may be c, too.
+    """
+    total, ends = found.total, np.stack([found.a, found.b], axis=1).tolist()
+    positive = np.flatnonzero(total >= 0.0).tolist()
+    possible = {frozenset(ends[k]) for k in positive}
+    likely = [k for k in positive if found.fits[k]]
+    by_place: dict[int, list[int]] = defaultdict(list)
+    for k in likely:
+        for place in ends[k]:
+            by_place[place].append(k)
     certain = []
-    for k in sorted(likely.ends, key=lambda row: (-total[row], row)):
+    for k in sorted(likely, key=lambda k: (-total[k], k)):
         if total[k] < least_odds:
             break
-        rivals = [0.0, *total[sorted(likely.against(k))].tolist()]
-        if total[k] - np.logaddexp.reduce(rivals) >= least_odds:
+        near = {other for place in ends[k] for other in by_place[place]} - {k}
+        # What two candidates do not share, one place of each, are two places unless it is possible.
+        rivals = sorted(j for j in near if frozenset(ends[k]) ^ frozenset(ends[j]) not in possible)
+        if total[k] - np.logaddexp.reduce([0.0, *total[rivals]]) >= least_odds:
             certain.append(
                 _identification(places, found, k, float(total[k]), reason=AGREE, accepted=True)
             )
     return certain
-
-
-@dataclass(frozen=True, slots=True)
-class _LikelyCandidates:
-    """Candidates within the gate with positive log odds.
-
-    ends: the two places of each, by its row; rows: the inverse; by_place: the rows of each place;
-    possible: pairs of places with positive log odds, within the gate or not; neighbours: the places
-    that corridors lead to from each place.
-    """
-
-    ends: dict[int, tuple[int, int]]
-    rows: dict[tuple[int, int], int]
-    by_place: dict[int, list[int]]
-    possible: set[tuple[int, int]]
-    neighbours: list[set[int]]
-
-    @classmethod
-    def of(cls, places: Places, found: Candidates) -> _LikelyCandidates:
-        positive = np.flatnonzero(found.total >= 0.0)
-        possible = set(zip(found.a[positive].tolist(), found.b[positive].tolist(), strict=True))
-        likely = positive[found.fits[positive]].tolist()
-        ends = {k: (int(found.a[k]), int(found.b[k])) for k in likely}
-        by_place: dict[int, list[int]] = {}
-        for k, pair in ends.items():
-            for place in pair:
-                by_place.setdefault(place, []).append(k)
-        neighbours = [set(row) - {NOWHERE} for row in places.next_place.tolist()]
-        return cls(ends, {pair: k for k, pair in ends.items()}, by_place, possible, neighbours)
-
-    def against(self, row: int) -> set[int]:
-        """Rows of the candidates that this one excludes, directly or through its neighbours.
-
-        Corridors support an identification if the places at their other ends are one, too. If these
-        may be other places, the whole stretch may lie along another stretch, which the
-        identification excludes even without a common place.
-        """
-        excluded = self._rivals(row)
-        for supporting in self._supporting(row):
-            excluded |= self._rivals(supporting) - {row}
-        return excluded
-
-    def _rivals(self, row: int) -> set[int]:
-        """Rows that identify one of the two places with a third one that cannot be the other."""
-        a, b = self.ends[row]
-        rivals = set()
-        for shared, other in ((a, b), (b, a)):
-            for candidate in self.by_place[shared]:
-                third = sum(self.ends[candidate]) - shared
-                if third != other and (min(other, third), max(other, third)) not in self.possible:
-                    rivals.add(candidate)
-        return rivals
-
-    def _supporting(self, row: int) -> list[int]:
-        """Rows that identify neighbours of the two places with each other."""
-        a, b = self.ends[row]
-        pairs = product(self.neighbours[a] - {b}, self.neighbours[b] - {a})
-        rows = (self.rows.get((min(pair), max(pair))) for pair in pairs)
-        return [r for r in rows if r is not None and r != row]
 
 
 def _together(places: Places, found: Candidates, agreement: Agreement) -> list[Identification]:
