@@ -244,7 +244,7 @@ def _search_without(name, replacement):
 
 
 VIEWS = {
-    "views: copies": _search_without("_copy_z", lambda search, null: None),
+    "views: copies": _search_without("_copy_z", lambda search, null: -np.inf),
     "views: support": _search_without(
         "_support", lambda search, tested, rows, odds: np.zeros(len(rows))
     ),

@@ -11,10 +11,10 @@ from ..circular import cluster_angles
 from ..columns import joined
 from ..matching.likelihood import LIKELIHOOD
 from ..passes import ONE_WAY_RAD
-from ..posegraph.graph import PoseGraph, Priors, SharedErrors
+from ..posegraph.graph import PoseGraph, Priors, SharedErrors, Solution
 from ..posegraph.marginals import Marginals
 from ..posegraph.samples import SampledMarginals
-from ..posegraph.solve import Solution, SolverSettings, solve
+from ..posegraph.solve import SolverSettings, solve
 from ..se2 import turned, wrap
 from .dead_reckoning import (
     NO_FACTORS,

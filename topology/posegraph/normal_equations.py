@@ -11,7 +11,6 @@ few dense columns of the border would fill the factors; b follows from the Schur
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +19,7 @@ from scipy.sparse.linalg import SuperLU, splu
 
 from ..arrays import FloatArray, IntArray
 from ..se2 import turned_axes
-from .graph import PoseGraph, corrected_measurement, edge_errors, prior_errors
+from .graph import PoseGraph, Solution, corrected_measurement, edge_errors, prior_errors
 from .skeleton import Skeleton, summed
 
 _FIXED = -1
@@ -34,19 +33,6 @@ _FREE = 1e-12
 """A pivot smaller than this share of its diagonal carries no information: its variable is
 determined by the ones before it, up to rounding. In chains of thousands of poses pivots stay above
 1e-8 (CSAIL: 3e-8)."""
-
-
-class Point(Protocol):
-    """Where to linearise: poses, shared errors, and the weights of edges and priors there."""
-
-    @property
-    def pose(self) -> FloatArray: ...  # noqa: D102
-    @property
-    def shared(self) -> FloatArray: ...  # noqa: D102
-    @property
-    def edge_weight(self) -> FloatArray: ...  # noqa: D102
-    @property
-    def prior_weight(self) -> FloatArray: ...  # noqa: D102
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -216,7 +202,7 @@ class Factor:
         return sparse_part + float(np.linalg.slogdet(self.schur)[1])
 
 
-def linearise(graph: PoseGraph, pattern: Pattern, at: Point) -> NormalEquations:
+def linearise(graph: PoseGraph, pattern: Pattern, at: Solution) -> NormalEquations:
     """Normal equations at a point, with information scaled by the weights there. O(m).
 
     With e the errors of the edges, J their derivatives and Ω their information, the blocks are

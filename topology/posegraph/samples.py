@@ -15,12 +15,11 @@ import numpy as np
 from scipy import sparse
 
 from ..arrays import FloatArray, IntArray
-from .graph import PoseGraph
+from .graph import PoseGraph, Solution
 from .marginals import relative_jacobians
 from .normal_equations import (
     Factor,
     Pattern,
-    Point,
     build_pattern,
     linearise,
     measurement_jacobian,
@@ -51,7 +50,7 @@ class _Linearised:
     push_known: sparse.csr_array[np.float64]
 
     @classmethod
-    def of(cls, graph: PoseGraph, solution: Point) -> _Linearised:
+    def of(cls, graph: PoseGraph, solution: Solution) -> _Linearised:
         """Linearise at `solution`."""
         pattern = build_pattern(graph, skeleton(graph))
         factor = linearise(graph, pattern, solution).factorise()
@@ -133,7 +132,7 @@ class SampledMarginals:
         return self._z_known.reshape(-1, 3, count) - error
 
     @classmethod
-    def of(cls, graph: PoseGraph, solution: Point, count: int = 64) -> SampledMarginals:
+    def of(cls, graph: PoseGraph, solution: Solution, count: int = 64) -> SampledMarginals:
         """Sample the linearised posterior by solving for perturbed measurements.
 
         With H = Jᵀ Ω J and white z, H⁻¹ Jᵀ Ω^½ z has the covariance H⁻¹. The noise is the same at
