@@ -55,7 +55,6 @@ from topobatch.topology.closure import (
     estimate,
     growth,
     incremental,
-    joint_compatibility,
     lattice,
     manhattan,
     missed_detections,
@@ -108,10 +107,8 @@ NUMBERS: dict[str, dict[str, float]] = {
     "phantoms": {"DRIVEN_BY.least_odds": ALWAYS},
     "phantoms: straight": {"DRIVEN_BY.straight_gain": 0.0},
     "phantoms: least miss rate": {"DRIVEN_BY.least_miss_rate": 1e-6},
-    "phantoms: least rate": {"DRIVEN_BY.least_phantom_rate": 1e-6},
     "views: loops": {"VIEW_LOOPS.tests": 0},
     "views: doubt": {"VIEW_LOOPS.doubt": 1.0},
-    "views: known": {"VIEW_LOOPS.known_m": 0.0},
 }
 """Mechanisms, and the numbers that disable each: a constant of `CONSTANTS`, and a field of it."""
 
@@ -193,24 +190,10 @@ REPLACED = {
     "noise raised": (incremental, "_fitting_scale", lambda now, *args: now),
     "taking back": (incremental, "_outliers", lambda *args: []),
     "joint compatibility": (incremental, "_together", lambda *args: ([], {})),
-    "straight corridors": (incremental, "_straight", _none),
-    "straight: shown spread": (incremental, "with_shown_spread", lambda c, *args: c),
-    "rivals": (incremental._LikelyCandidates, "against", lambda *args: set()),
-    "rivals: of neighbours": (incremental._LikelyCandidates, "_supporting", lambda *args: []),
+    "straight corridors": (incremental, "grid_corridors", _none),
     "null pairs": (candidates, "_null_pairs", lambda *args: np.zeros(0)),
-    "null pairs: slack": (
-        candidates,
-        "calibrated_odds",
-        lambda alike, nulls, slack, f=candidates.calibrated_odds: f(alike, nulls, 0.0),
-    ),
-    "null pairs: one step off": (
-        lattice.Lattice,
-        "is_step",
-        lambda lattice, shift: np.zeros(len(shift), bool),
-    ),
     "neighbours": (candidates, "among_neighbours", lambda common, odds, *args: odds),
     "negative information": (negative_information.DrivenGround, "share", _zeros(1)),
-    "joint: one step off": (joint_compatibility, "_one_step_off", lambda *args: -np.inf),
     "closed again: grid off": (alternatives, "closure_without_grid", incremental.full_closure),
     "closed again: no repeats": (alternatives, "_repeats", lambda *args: False),
     "passed: along branches": (
@@ -261,7 +244,7 @@ def _search_without(name, replacement):
 
 
 VIEWS = {
-    "views: copies": _search_without("_copy_z", lambda search, null: None),
+    "views: copies": _search_without("_copy_z", lambda search, null: -np.inf),
     "views: support": _search_without(
         "_support", lambda search, tested, rows, odds: np.zeros(len(rows))
     ),

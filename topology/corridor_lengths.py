@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from .arrays import FloatArray, IntArray
+from .digits import METRES
 from .quadratic_forms import MEDIAN_CHI2
 from .se2 import wrap
 from .topomap import RunNoise, TopoMap
@@ -15,7 +16,7 @@ LIKE_SIGMAS = 4.0
 """Largest difference of lengths of drives without detours, in standard deviations: the shortest
 of a few normal values is one or two below the mean, and few are this far above it."""
 
-LEAST_M = 0.001
+LEAST_M = 10.0**-METRES
 """Lower bound of length errors: the precision of documents."""
 
 EXPLAINED = 2.0

@@ -24,14 +24,11 @@ LENGTH_SCALE = 5
 SIGNIFICANT = 4
 """Decimals; for sigmas, rates and the calibration significant digits. Reasons: see above."""
 
-LARGEST_PLAIN = 1e9
-"""Above this, and for arrays, numpy rounds."""
-
 
 def rounded(values: Any, decimals: int = TURN) -> Any:
     """Numbers as they stand in documents: rounded, with -0.0 as 0.0."""
-    if isinstance(values, float) and abs(values) < LARGEST_PLAIN:  # as numpy does, without it
-        return round(values * 10.0**decimals) / 10.0**decimals + 0.0
+    if isinstance(values, float):
+        return round(values, decimals) + 0.0
     array = np.round(np.asarray(values, np.float64), decimals) + 0.0
     return array.tolist()
 

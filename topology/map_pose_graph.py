@@ -7,17 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from .arrays import FloatArray, IntArray
-from .corridor_lengths import length_variances
+from .corridor_lengths import LEAST_M, length_variances
+from .digits import BRANCH
 from .posegraph.graph import PoseGraph
 from .se2 import turned_axes
 from .topomap import TopoMap
 
-LEAST_TURN_RAD = 1e-4
+LEAST_TURN_RAD = 10.0**-BRANCH
 """Lower bound of a corridor's heading error, 1 sigma: keeps the information finite; an odometry
 without noise is assumed to have more (3e-4 in a corridor)."""
-
-LEAST_STEP_M = 0.001
-"""Lower bound of a corridor's position error, 1 sigma: the precision of documents."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,10 +59,10 @@ def odometry_measurements(topomap: TopoMap) -> Measurements:
     across = (walk / 3 + swing) * length**2
     cov = np.zeros((len(length), 3, 3))
     # What is along one corridor may be across the next.
-    followed = _followed((along + across) / 2 + LEAST_STEP_M**2, noise.centre_m**2)
+    followed = _followed((along + across) / 2 + LEAST_M**2, noise.centre_m**2)
     passes = noise.centre_m**2 * differ * followed
     for axis, leg in ((0, along), (1, across)):
-        cov[:, axis, axis] = (leg + passes) / times + LEAST_STEP_M**2
+        cov[:, axis, axis] = (leg + passes) / times + LEAST_M**2
     cov[:, 1, 2] = cov[:, 2, 1] = (walk / 2 + swing) * length / times
     cov[:, 2, 2] = (walk + 2 * swing) / times + LEAST_TURN_RAD**2
     _, discounted = length_variances(topomap)

@@ -19,7 +19,7 @@ from .se2 import wrap
 from .topomap import RunNoise, TopoMap
 from .track import by_begin, times_between, track_directions, way_at
 from .vertex_errors import VertexErrors
-from .visits import PassesAtPlaces, Visits, draw_track
+from .visits import STEP_M, PassesAtPlaces, Visits, draw_track
 
 _Ends = tuple[int, int, int, int]
 """Ends of a corridor: source, target, and the branch at each."""
@@ -37,12 +37,11 @@ class MapBuildingSettings:
     """Radius around a junction's centre in which robots cut corners: the path is straight there.
     Also the largest distance at which the track passes a place."""
     passable_m: float = 0.5
-    """Largest distance of points of tracks without a wall between them: about a robot's width."""
-    corner_m: float = 0.5
-    """Distance to either side over which the turn of the track is measured at corners."""
+    """Largest distance of points of tracks without a wall between them: about a robot's width. Over
+    this distance to either side the turn of the track is measured at corners."""
     corner_rad: float = 0.5
     """Least turn of a corner of the corridor; a smaller one is a bend."""
-    standing_m: float = 0.05
+    standing_m: float = STEP_M / 2
     """Least distance of a drive between two visits. Time within this path length of a centre
     (standing, turning on the spot) is not driving time."""
     sound_m: float = 1.0
@@ -229,7 +228,7 @@ def centre_line(
     inner = path[1:-1]
     if not loop:
         inner = loop_erased(inner, DRAWING.passable_m)
-    inner = with_corners(inner, DRAWING.corner_m, DRAWING.corner_rad)
+    inner = with_corners(inner, DRAWING.passable_m, DRAWING.corner_rad)
     return np.concatenate([path[:1], inner, path[-1:]])
 
 

@@ -18,7 +18,7 @@ ONE_WAY_RAD = 0.35
 """Directions nearer to each other than this (20 degrees) are one branch: readings of one branch are
 14 degrees apart in one of 2,000 pairs with the usual noise of 0.05 rad."""
 
-DRIVEN_RAD = 0.7
+DRIVEN_RAD = 2 * ONE_WAY_RAD
 """Largest angle between a branch and the direction in which the robot drove along it."""
 
 

@@ -6,14 +6,17 @@ A radius of one sigma holds 68.3 % of the errors along a line, but of errors in 
 
 from __future__ import annotations
 
+from math import erf, sqrt
+from statistics import NormalDist
+
 import numpy as np
 
 from .arrays import FloatArray
 
-ONE_SIGMA = 0.6827
+ONE_SIGMA = erf(1 / sqrt(2))
 """Probability that a normal error lies within one sigma."""
 
-MEDIAN_CHI2 = 0.4549
+MEDIAN_CHI2 = NormalDist().inv_cdf(0.75) ** 2
 """Median of χ² with one degree of freedom."""
 
 

@@ -78,7 +78,7 @@ class VertexErrors:
         The result is at least half of the reading's own sigma.
         """
         turn = self.turn_sigma() ** 2 * (1 - 2 * self.own)
-        return np.asarray(np.sqrt(np.maximum(reading**2 + turn[owner], 0.25 * reading**2)))
+        return np.asarray(np.sqrt(np.maximum(reading**2 + turn[owner], (0.5 * reading) ** 2)))
 
 
 def _without_rigid_motion(sample: FloatArray, xy: FloatArray) -> FloatArray:

@@ -25,9 +25,9 @@ from ...topology.map_pose_graph import (
 from ...topology.matching.branches import mutual_nearest, unit_headings
 from ...topology.matching.likelihood import LIKELIHOOD
 from ...topology.matching.structure import STRUCTURE, grid_direction, padded_branches
-from ...topology.posegraph.graph import PoseGraph, Priors, SharedErrors
+from ...topology.posegraph.graph import PoseGraph, Priors, SharedErrors, Solution
 from ...topology.posegraph.samples import SampledMarginals
-from ...topology.posegraph.solve import Solution, SolverSettings, solve
+from ...topology.posegraph.solve import SolverSettings, solve
 from ...topology.se2 import apply, compose, fit_rigid, inverse, wrap
 from ...topology.topomap import TopoMap
 from ...topology.vertex_errors import VertexErrors

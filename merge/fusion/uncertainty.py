@@ -15,9 +15,8 @@ from scipy.sparse import csr_array
 
 from ...topology.arrays import FloatArray, IntArray
 from ...topology.corridor_lengths import LEAST_M, straightness
-from ...topology.posegraph.graph import PoseGraph, SharedErrors
+from ...topology.posegraph.graph import PoseGraph, SharedErrors, Solution
 from ...topology.posegraph.samples import SampledMarginals, of_unit_variance, white
-from ...topology.posegraph.solve import Solution
 from ...topology.vertex_errors import VertexErrors
 from ..result import Spread
 from .edges import Corridor

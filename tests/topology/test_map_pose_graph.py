@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from topobatch.topology.map_pose_graph import LEAST_STEP_M, map_pose_graph
+from topobatch.topology.corridor_lengths import LEAST_M
+from topobatch.topology.map_pose_graph import map_pose_graph
 from topobatch.topology.ragged import Ragged
 from topobatch.topology.se2 import between
 from topobatch.topology.topomap import TopoMap
@@ -25,7 +26,7 @@ def elbow(traversals: int) -> TopoMap:
         source_branch=np.array([0, 1, 1]),
         target_branch=np.array([0, 0, 2]),
         length=np.array([8.0, 6.0, 5.0]),
-        length_sigma=np.full(3, LEAST_STEP_M),  # no more than odometry and centres explain
+        length_sigma=np.full(3, LEAST_M),  # no more than odometry and centres explain
         traversals=np.full(3, traversals),
         paths=(xy[:2], xy[1:], xy[[2, 0, 2]]),
         observation_vertex=np.repeat(np.arange(3), traversals),

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-
-from ..arrays import IntArray
+from dataclasses import dataclass
 
 AGREE = "position, branches and corridors agree"
 TOGETHER = "sure together with others that agree on one position"
 UNSURE = "not sure enough"
 DISAGREE = "corridors disagree"
 COMMON = "places that are certainly two look as much alike"
-APART = "too far apart once the run was laid out anew"
 TORN = "taken back: a pass was torn away"
 
 
@@ -32,31 +29,3 @@ class Identification:
     turn_rad: float = 0.0
     round: int = 0
     accepted_round: int | None = None
-
-
-def explained(
-    doubts: dict[tuple[int, int], Identification], reasons: dict[tuple[int, int], str]
-) -> dict[tuple[int, int], Identification]:
-    """The doubts that are "not sure enough", with the more specific reasons in `reasons`."""
-    return {
-        pair: replace(doubts[pair], reason=reason)
-        for pair, reason in reasons.items()
-        if pair in doubts and doubts[pair].reason == UNSURE
-    }
-
-
-def taken_back(q: Identification, number: int) -> Identification:
-    """An accepted identification, refused in round `number`."""
-    return replace(q, accepted=False, reason=TORN, round=number, accepted_round=q.round)
-
-
-def standing_doubts(
-    place: IntArray, doubts: dict[tuple[int, int], Identification]
-) -> list[Identification]:
-    """Refusals that still concern two different places: the latest per pair of places, sorted."""
-    latest: dict[tuple[int, int], Identification] = {}
-    for (i, j), q in doubts.items():
-        a, b = sorted((int(place[i]), int(place[j])))
-        if a != b:
-            latest[a, b] = q
-    return [latest[pair] for pair in sorted(latest)]

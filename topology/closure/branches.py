@@ -161,8 +161,8 @@ def _null_log_likelihood(unit: ComplexArray, lack: FloatArray, variance: float) 
     x, y = unit.real.T.astype(np.float32), unit.imag.T.astype(np.float32)
     cost = lack.T.astype(np.float32)
     log_likelihood = np.empty(n)
-    for begin in range(0, n, EVIDENCE.strip):
-        rows = slice(begin, begin + EVIDENCE.strip)
+    for begin in range(0, n, EVIDENCE.references):
+        rows = slice(begin, begin + EVIDENCE.references)
         cosine = x[:, None, rows, None] * x[None, :, None, sample]
         cosine += y[:, None, rows, None] * y[None, :, None, sample]
         nearest_b, nearest_a = cosine.max(axis=1), cosine.max(axis=0)

@@ -129,8 +129,7 @@ def candidates(state: MapState, place: IntArray, estimate: Estimate, *, exact: b
     odds, _ = position_odds(common, pairs.shift, cov, ground)
     odds = among_neighbours(common, odds, pairs.shift, cov)
     around = _surroundings(state, pairs)
-    slack = EVIDENCE.lead if common.lattice.repeats else 0.0
-    penalty = np.maximum(around.odds - calibrated_odds(around.odds, null_pairs, slack), 0.0)
+    penalty = np.maximum(around.odds - calibrated_odds(around.odds, null_pairs), 0.0)
     found = Candidates(pairs.a, pairs.b, odds, around, penalty, ground, fits)
     # Without a rotation within reach that aligns their branches, two places are different.
     return take(found, (odds > least) & (around.branches > -np.inf))
@@ -163,30 +162,22 @@ def _null_pairs(state: MapState, pairs: _Pairs) -> FloatArray:
     _, d2 = position_odds(state.common, pairs.shift, pairs.shift_covariance(state.common))
     apart = np.hypot(*pairs.shift.T) > state.common.core_m
     rows = np.flatnonzero((d2 > LIKELIHOOD.gate_chi2(2)) & apart)
-    is_step = state.common.lattice.is_step(pairs.shift[rows])
-    if is_step.sum() >= np.exp(EVIDENCE.lead):
-        # Places one lattice step apart are the ones that could be confused. So many of them
-        # suffice for odds of `lead`.
-        rows = rows[is_step]
     rows = rows[:: -(-len(rows) // CANDIDATES.most_strangers) or 1]
     return np.sort(_surroundings(state, take(pairs, rows)).odds)
 
 
-def calibrated_odds(around: FloatArray, null_pairs: FloatArray, slack: float = 0.0) -> FloatArray:
+def calibrated_odds(around: FloatArray, null_pairs: FloatArray) -> FloatArray:
     """(k,) log odds [nats] of the surroundings, calibrated on null pairs.
 
     around: (k,) log odds by the model; null_pairs: (m,) those of pairs of different places,
     ascending. Odds that a share q of null pairs reaches become -ln q; beyond all null pairs they
-    grow as in the model. slack: where the map repeats itself, true pairs are as rare as null pairs.
-    Then -ln q is at most one nat more than with the null pairs up to `slack` below.
+    grow as in the model.
     """
     if len(null_pairs) == 0:
         return around
     at_least = len(null_pairs) - np.searchsorted(null_pairs, around)
-    within_slack = len(null_pairs) - np.searchsorted(null_pairs, around - slack)
-    share = np.maximum(np.log1p(at_least), np.log1p(within_slack) - 1.0)
     beyond = np.maximum(around - null_pairs[-1], 0.0)
-    return np.asarray(np.log1p(len(null_pairs)) - share + beyond)
+    return np.asarray(np.log1p(len(null_pairs)) - np.log1p(at_least) + beyond)
 
 
 def pairs_within(xy: FloatArray, reach_m: float, most: int) -> IntArray:

@@ -11,10 +11,10 @@ from ..circular import cluster_angles
 from ..columns import joined
 from ..matching.likelihood import LIKELIHOOD
 from ..passes import ONE_WAY_RAD
-from ..posegraph.graph import PoseGraph, Priors, SharedErrors
+from ..posegraph.graph import PoseGraph, Priors, SharedErrors, Solution
 from ..posegraph.marginals import Marginals
 from ..posegraph.samples import SampledMarginals
-from ..posegraph.solve import Solution, SolverSettings, solve
+from ..posegraph.solve import SolverSettings, solve
 from ..se2 import turned, wrap
 from .dead_reckoning import (
     NO_FACTORS,
@@ -254,7 +254,7 @@ def _priors(grid: GridHeadings | None, corridors: GridCorridors | None, first_li
         count = len(corridors.direction)
         row = np.concatenate([row, first_line + np.arange(count)])
         turn = np.concatenate([turn, corridors.direction])
-        sigma = np.concatenate([sigma, corridors.spread_rad])
+        sigma = np.concatenate([sigma, np.full(count, grid.spread_rad)])
         kernel = np.concatenate([kernel, np.full(count, np.inf)])
     return Priors.headings(row, turn, sigma, kernel)
 

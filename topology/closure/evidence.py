@@ -35,13 +35,11 @@ class EvidenceSettings:
     """Width of the kernels of the null model of sets of branches, in addition to the noise [rad].
     Tried: with 0 and 0.06 a revisit of a real run (Intel) is no longer found."""
     references: int = 100
-    """Size of the sample of places for the null model of sets of branches."""
-    strip: int = 64
-    """Places in a batch of the null model, which fits the cache."""
+    """Size of the sample of places for the null model of sets of branches, and of the batches of
+    places that are compared with it."""
     lead: float = 3.0
     """Required lead over alternatives [nats], 20 to one: of sets of identifications over those that
-    exclude one of them, of each candidate that joins a set (`joint_compatibility.py`), and of
-    surroundings over null pairs that are nearly as similar (`candidates.py`)."""
+    exclude one of them, and of each candidate that joins a set (`joint_compatibility.py`)."""
 
 
 EVIDENCE = EvidenceSettings()

@@ -6,8 +6,9 @@ identifications and optimises the pose graph again, which leaves less uncertaint
 
 from __future__ import annotations
 
+from collections import defaultdict
 from dataclasses import dataclass, replace
-from itertools import count, product
+from itertools import count
 
 import numpy as np
 
@@ -15,29 +16,16 @@ from ..arrays import BoolArray, FloatArray, IntArray
 from ..columns import take
 from ..connected import connected
 from ..matching.likelihood import BIT, LIKELIHOOD
-from .answers import (
-    AGREE,
-    APART,
-    COMMON,
-    DISAGREE,
-    TOGETHER,
-    TORN,
-    UNSURE,
-    Identification,
-    explained,
-    standing_doubts,
-    taken_back,
-)
+from .answers import AGREE, COMMON, DISAGREE, TOGETHER, TORN, UNSURE, Identification
 from .branches import branches_of
 from .candidates import Candidates, candidates
 from .dead_reckoning import DeadReckoning, scale_noise
 from .estimate import Estimate, optimise
 from .evidence import background, measured_rates, with_lattice
 from .growth import MapState
-from .joint_compatibility import agreeing
+from .joint_compatibility import NO_AGREEMENT, Agreement, agreeing
 from .manhattan import GridCorridors, GridHeadings, grid_corridors, grid_headings
-from .places import NOWHERE, Places, tabulate
-from .variance_components import with_shown_spread
+from .places import Places, tabulate
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,8 +68,8 @@ class Closed:
 
     reckoning: the one given, with its noise raised by `caution` and by the residuals of the
     estimate; place: (p,) place of each pass, numbered by first visit; estimate: the optimised
-    positions; identifications: all accepted ones, and the refused ones with some evidence; grid:
-    headings by the building's grid, if it has one.
+    positions; identifications: all accepted ones, those taken back, and the refused candidates of
+    the last round; grid: headings by the building's grid, if it has one.
     """
 
     reckoning: DeadReckoning
@@ -122,7 +110,7 @@ def _in_rounds(closure: _Closure) -> Closed:
 
 
 class _Closure:
-    """The state of a closure: identifications, the present estimate, and what is in doubt."""
+    """The state of a closure: identifications and refusals, and the present estimate."""
 
     def __init__(
         self, reckoning: DeadReckoning, grid: GridHeadings | None, wrong_share: float
@@ -134,7 +122,8 @@ class _Closure:
         self._corridors: GridCorridors | None = None
         self._identifications: list[Identification] = []
         self._blocked: set[tuple[int, int]] = set()
-        self._doubts: dict[tuple[int, int], Identification] = {}
+        self._refused: list[Identification] = []
+        self._taken_back: list[Identification] = []
         self._place = np.arange(len(reckoning), dtype=np.int64)
         self._estimate = self._optimised(None)
 
@@ -148,10 +137,12 @@ class _Closure:
         found = take(found, ~_blocked(found, self._blocked, self._place))
         certain_now = _certain(state.places, found, self._least_odds)
         found = take(found, found.fits)
-        self._doubts = _doubts_of_round(self._doubts, state.places, found, self._least_odds, number)
+        agreement = NO_AGREEMENT
         if not certain_now and exact:
-            certain_now, reasons = _together(state, found, self._estimate, self._least_odds)
-            self._doubts |= explained(self._doubts, reasons)
+            agreement = agreeing(self._estimate, found, state.common, least_odds=self._least_odds)
+            certain_now = _together(state.places, found, agreement)
+        refused = _refused(state.places, found, agreement, self._least_odds)
+        self._refused = [replace(q, round=number) for q in refused]
         return [replace(q, round=number) for q in certain_now]
 
     def identify(self, identifications: list[Identification]) -> None:
@@ -174,7 +165,10 @@ class _Closure:
         if not outliers:
             return
         self._blocked |= {(q.first, q.second) for q in outliers}
-        self._doubts |= {(q.first, q.second): taken_back(q, number) for q in outliers}
+        self._taken_back += [
+            replace(q, accepted=False, reason=TORN, round=number, accepted_round=q.round)
+            for q in outliers
+        ]
         self._identifications = [q for q in self._identifications if q not in outliers]
         self._place = _partition(len(self._reckoning), self._identifications)
         self._estimate = self._optimised(self._estimate.pose)
@@ -185,8 +179,10 @@ class _Closure:
             # Straight corridors only help to identify; the map has them as they were measured.
             self._corridors = None
             self._estimate = self._optimised(self._estimate.pose)
-        identifications = self._identifications + standing_doubts(self._place, self._doubts)
-        return Closed(self._reckoning, self._place, self._estimate, identifications, self._grid)
+        place = self._place
+        refused = [q for q in self._taken_back + self._refused if place[q.first] != place[q.second]]
+        identifications = self._identifications + refused
+        return Closed(self._reckoning, place, self._estimate, identifications, self._grid)
 
     def _map_state(self) -> MapState:
         """The state of the map at the present estimate.
@@ -197,7 +193,9 @@ class _Closure:
         state = map_state(self._reckoning, self._place, self._estimate)
         if self._grid is None or not state.common.lattice.repeats:
             return state
-        self._corridors = _straight(self._corridors, self._grid, state, self._estimate)
+        if self._corridors is None:
+            turn, core_m = self._estimate.pose[:, 2], state.common.core_m
+            self._corridors = grid_corridors(self._reckoning, self._grid, turn, core_m)
         self._estimate = self._optimised(self._estimate.pose)
         return map_state(self._reckoning, self._place, self._estimate)
 
@@ -210,15 +208,6 @@ class _Closure:
             grid=self._grid,
             corridors=self._corridors,
         )
-
-
-def _straight(
-    corridors: GridCorridors | None, grid: GridHeadings, state: MapState, estimate: Estimate
-) -> GridCorridors:
-    """Corridors along the grid; known ones with their deviations from the grid estimated again."""
-    if corridors is None:
-        return grid_corridors(state.reckoning, grid, estimate.pose[:, 2], state.common.core_m)
-    return with_shown_spread(corridors, estimate, grid)
 
 
 def map_state(reckoning: DeadReckoning, place: IntArray, estimate: Estimate) -> MapState:
@@ -277,94 +266,38 @@ def _alignment_turns(place: IntArray, identifications: list[Identification]) -> 
 
 
 def _certain(places: Places, found: Candidates, least_odds: float) -> list[Identification]:
-    """The candidates whose log odds against all they exclude reach `least_odds`, best first."""
-    total, likely = found.total, _LikelyCandidates.of(places, found)
+    """The candidates whose log odds against all they exclude reach `least_odds`, best first.
+
+    "a is b" excludes "a is c" unless b may be c, too.
+    """
+    total, ends = found.total, np.stack([found.a, found.b], axis=1).tolist()
+    positive = np.flatnonzero(total >= 0.0).tolist()
+    possible = {frozenset(ends[k]) for k in positive}
+    likely = [k for k in positive if found.fits[k]]
+    by_place: dict[int, list[int]] = defaultdict(list)
+    for k in likely:
+        for place in ends[k]:
+            by_place[place].append(k)
     certain = []
-    for k in sorted(likely.ends, key=lambda row: (-total[row], row)):
+    for k in sorted(likely, key=lambda k: (-total[k], k)):
         if total[k] < least_odds:
             break
-        rivals = [0.0, *total[sorted(likely.against(k))].tolist()]
-        if total[k] - np.logaddexp.reduce(rivals) >= least_odds:
+        near = {other for place in ends[k] for other in by_place[place]} - {k}
+        # What two candidates do not share, one place of each, are two places unless it is possible.
+        rivals = sorted(j for j in near if frozenset(ends[k]) ^ frozenset(ends[j]) not in possible)
+        if total[k] - np.logaddexp.reduce([0.0, *total[rivals]]) >= least_odds:
             certain.append(
                 _identification(places, found, k, float(total[k]), reason=AGREE, accepted=True)
             )
     return certain
 
 
-@dataclass(frozen=True, slots=True)
-class _LikelyCandidates:
-    """Candidates within the gate with positive log odds.
-
-    ends: the two places of each, by its row; rows: the inverse; by_place: the rows of each place;
-    possible: pairs of places with positive log odds, within the gate or not; neighbours: the places
-    that corridors lead to from each place.
-    """
-
-    ends: dict[int, tuple[int, int]]
-    rows: dict[tuple[int, int], int]
-    by_place: dict[int, list[int]]
-    possible: set[tuple[int, int]]
-    neighbours: list[set[int]]
-
-    @classmethod
-    def of(cls, places: Places, found: Candidates) -> _LikelyCandidates:
-        positive = np.flatnonzero(found.total >= 0.0)
-        possible = set(zip(found.a[positive].tolist(), found.b[positive].tolist(), strict=True))
-        likely = positive[found.fits[positive]].tolist()
-        ends = {k: (int(found.a[k]), int(found.b[k])) for k in likely}
-        by_place: dict[int, list[int]] = {}
-        for k, pair in ends.items():
-            for place in pair:
-                by_place.setdefault(place, []).append(k)
-        neighbours = [set(row) - {NOWHERE} for row in places.next_place.tolist()]
-        return cls(ends, {pair: k for k, pair in ends.items()}, by_place, possible, neighbours)
-
-    def against(self, row: int) -> set[int]:
-        """Rows of the candidates that this one excludes, directly or through its neighbours.
-
-        Corridors support an identification if the places at their other ends are one, too. If these
-        may be other places, the whole stretch may lie along another stretch, which the
-        identification excludes even without a common place.
-        """
-        excluded = self._rivals(row)
-        for supporting in self._supporting(row):
-            excluded |= self._rivals(supporting) - {row}
-        return excluded
-
-    def _rivals(self, row: int) -> set[int]:
-        """Rows that identify one of the two places with a third one that cannot be the other."""
-        a, b = self.ends[row]
-        rivals = set()
-        for shared, other in ((a, b), (b, a)):
-            for candidate in self.by_place[shared]:
-                third = sum(self.ends[candidate]) - shared
-                if third != other and (min(other, third), max(other, third)) not in self.possible:
-                    rivals.add(candidate)
-        return rivals
-
-    def _supporting(self, row: int) -> list[int]:
-        """Rows that identify neighbours of the two places with each other."""
-        a, b = self.ends[row]
-        pairs = product(self.neighbours[a] - {b}, self.neighbours[b] - {a})
-        rows = (self.rows.get((min(pair), max(pair))) for pair in pairs)
-        return [r for r in rows if r is not None and r != row]
-
-
-def _together(
-    state: MapState, found: Candidates, estimate: Estimate, least_odds: float
-) -> tuple[list[Identification], dict[tuple[int, int], str]]:
-    """The candidates that are certain only jointly; or the reason for their refusal, by passes."""
-    agreement = agreeing(estimate, found, state.common, least_odds=least_odds)
-    rows = agreement.rows.tolist()
-    if agreement.reason:
-        first_pass = state.places.first
-        ends = [(int(first_pass[found.a[k]]), int(first_pass[found.b[k]])) for k in rows]
-        return [], {(min(pair), max(pair)): agreement.reason for pair in ends}
-    answers = [
-        _identification(state.places, found, row, value, reason=TOGETHER, accepted=True)
-        for row, value in zip(rows, agreement.odds.tolist(), strict=True)
+def _together(places: Places, found: Candidates, agreement: Agreement) -> list[Identification]:
+    """The candidates that are certain only jointly."""
+    return [
+        _identification(places, found, row, value, reason=TOGETHER, accepted=True)
+        for row, value in zip(agreement.rows.tolist(), agreement.odds.tolist(), strict=False)
     ]
-    return answers, {}
 
 
 def _identification(
@@ -410,28 +343,20 @@ def weakest_cut(links: list[Identification]) -> list[Identification]:
     return []
 
 
-def _doubts_of_round(
-    earlier: dict[tuple[int, int], Identification],
-    places: Places,
-    found: Candidates,
-    least_odds: float,
-    number: int,
-) -> dict[tuple[int, int], Identification]:
-    """Refused identifications by their passes: earlier ones, and the candidates of this round.
-
-    An earlier one that is no candidate any more was excluded by the estimate.
-    """
-    doubts = {
-        pair: q if q.reason in (TORN, APART) else replace(q, reason=APART, round=number)
-        for pair, q in earlier.items()
-    }
-    total = found.total
+def _refused(
+    places: Places, found: Candidates, agreement: Agreement, least_odds: float
+) -> list[Identification]:
+    """The candidates with some evidence as refused identifications, with the reasons."""
+    total, refused = found.total, []
+    refused_together = set(agreement.rows.tolist()) if agreement.reason else set()
     for k in np.flatnonzero(found.position + found.around.branches > 0).tolist():
-        reason = UNSURE
         if found.around.conflict[k] > 2:
             reason = DISAGREE
         elif total[k] + found.aliasing_penalty[k] >= least_odds > total[k]:
             reason = COMMON
-        q = _identification(places, found, k, float(total[k]), reason=reason, accepted=False)
-        doubts[q.first, q.second] = replace(q, round=number)
-    return doubts
+        else:
+            reason = agreement.reason if k in refused_together else UNSURE
+        refused.append(
+            _identification(places, found, k, float(total[k]), reason=reason, accepted=False)
+        )
+    return refused

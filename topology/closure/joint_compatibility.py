@@ -15,7 +15,6 @@ import numpy as np
 
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..columns import take
-from ..passes import ONE_WAY_RAD
 from ..posegraph.marginals import Marginals
 from .candidates import Candidates
 from .estimate import Estimate
@@ -23,7 +22,6 @@ from .evidence import EVIDENCE, Background, among_neighbours, position_odds
 from .negative_information import DrivenGround
 
 RIVALS = "sure together with others, but as many that exclude one of them are nearly as sure"
-STEP_OFF = "sure together with others, but all might be one step of the map's pattern off"
 
 
 MOST = 30
@@ -42,7 +40,7 @@ class Agreement(NamedTuple):
     reason: str = ""
 
 
-_NO_AGREEMENT = Agreement(np.zeros(0, np.int64), np.zeros(0))
+NO_AGREEMENT = Agreement(np.zeros(0, np.int64), np.zeros(0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,12 +82,11 @@ def agreeing(
 ) -> Agreement:
     """The candidates that are jointly certain: their joint log odds reach `least_odds` [nats].
 
-    They are refused if another set that excludes one of them is nearly as likely, or if the map
-    repeats itself and all may be one lattice step off.
+    They are refused if another set that excludes one of them is nearly as likely.
     """
     rows = np.sort(np.argsort(-found.total, kind="stable")[:MOST])
     if len(rows) < 2:
-        return _NO_AGREEMENT
+        return NO_AGREEMENT
     a, b = found.a[rows], found.b[rows]
     prior = _JointShifts(
         *_shifts(estimate, a, b), found.alike[rows], take(found.ground, rows), common
@@ -101,44 +98,12 @@ def agreeing(
     best = int(set_odds.argmax())
     members = np.sort(np.array(sets[best][1]))
     if len(members) < 2 or set_odds[best] < least_odds:
-        return _NO_AGREEMENT
+        return NO_AGREEMENT
     rivals = [value for value, other in sets if excluded[np.ix_(members, np.array(other))].any()]
     if set_odds[best] - max(rivals, default=-np.inf) < EVIDENCE.lead:
         return Agreement(rows[members], np.zeros(0), RIVALS)
-    if _one_step_off(prior, members) > -EVIDENCE.lead:
-        return Agreement(rows[members], np.zeros(0), STEP_OFF)
     odds = [_odds_given(prior, k, members) for k in members.tolist()]
     return Agreement(rows[members], np.array(odds))
-
-
-def _one_step_off(prior: _JointShifts, members: IntArray) -> float:
-    """Log odds [nats] of the most likely alternative in a map that repeats itself: a single member,
-    or all of them, shifted by one lattice step."""
-    lattice = prior.common.lattice
-    if not lattice.repeats:
-        return -np.inf
-    rows = (2 * members[:, None] + np.arange(2)).ravel()
-    cov = prior.cov[np.ix_(rows, rows)] + 2 * prior.common.centre_sigma**2 * np.eye(len(rows))
-    step_m = np.hypot(*lattice.steps.T)
-    # The map may still be bent: steps in all directions as well.
-    directions = int(np.ceil(2 * np.pi / ONE_WAY_RAD))
-    angle = np.arange(directions) * (2 * np.pi / directions)
-    rotated = step_m[:, None, None] * np.stack([np.cos(angle), np.sin(angle)], 1)
-    step = np.concatenate([lattice.steps, rotated.reshape(-1, 2)])
-    odds = np.log(np.concatenate([lattice.share, lattice.share.repeat(directions)]))
-    information = np.linalg.inv(cov)
-    information_shift = information @ prior.shift[rows]
-    worst = -np.inf
-    for group in (*np.eye(len(members), dtype=bool), np.ones(len(members), bool)):
-        in_group = group.repeat(2)
-        # Conditional distribution of the mean shift of the group, given the others.
-        mean = np.tile(np.eye(2), int(group.sum())) / group.sum()
-        group_cov = np.linalg.inv(information[np.ix_(in_group, in_group)])
-        mean_shift = mean @ group_cov @ information_shift[in_group]
-        precision = np.linalg.inv(mean @ group_cov @ mean.T)
-        chi2 = np.einsum("ri,ij,rj->r", step - 2 * mean_shift, precision, step)
-        worst = max(worst, float((odds - 0.5 * chi2).max()))
-    return worst
 
 
 def _sharing(a: IntArray, b: IntArray) -> tuple[BoolArray, BoolArray]:

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.sparse import csr_array, eye_array
 from scipy.sparse.csgraph import connected_components
 
-from ..arrays import BoolArray, FloatArray
+from ..arrays import FloatArray
 from ..matching.likelihood import LIKELIHOOD
 from .places import HOPS, NOWHERE, Places
 
@@ -53,11 +53,6 @@ class Lattice:
         """(k,) other junctions per m² at `shift` (k, 2) [m], known with covariance `cov` (k, 2, 2)
         [m²]."""
         return np.asarray(_gaussians(shift, self.steps, cov) @ self.share)
-
-    def is_step(self, shift: FloatArray) -> BoolArray:
-        """(k,) whether `shift` (k, 2) [m] is a lattice vector."""
-        distance_m = np.abs(shift[:, None, :] - self.steps).max(axis=2)
-        return np.asarray((distance_m < 2 * LATTICE.width_m).any(axis=1))
 
 
 NO_LATTICE = Lattice(np.zeros((0, 2)), np.zeros(0))

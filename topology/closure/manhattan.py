@@ -104,15 +104,12 @@ def grid_headings(reckoning: DeadReckoning) -> GridHeadings | None:
 class GridCorridors:
     """Straight corridors along the grid of a building, one per drive through a corridor.
 
-    direction: (c,) [rad] in the map frame, with 1 sigma spread_rad (c,); side: (c,) axis of the
-    grid that it follows, 0 or 1; corridor, row: (k,) every pass on a corridor, with the corridor,
-    sorted by both; aside: (k,) lateral offset of the pass from the corridor's line [m], positive to
-    the left, with 1 sigma sigma_m.
+    direction: (c,) [rad] in the map frame, with the spread of the grid; corridor, row: (k,) every
+    pass on a corridor, with the corridor, sorted by both; aside: (k,) lateral offset of the pass
+    from the corridor's line [m], positive to the left, with 1 sigma sigma_m.
     """
 
     direction: FloatArray
-    spread_rad: FloatArray
-    side: IntArray
     corridor: IntArray
     row: IntArray
     aside: FloatArray
@@ -167,8 +164,6 @@ def grid_corridors(
     passes = rows[begins][corridor] + nth
     return GridCorridors(
         direction=(axis + quarter * (np.pi / 2))[rows[begins]],
-        spread_rad=np.full(len(begins), grid.spread_rad),
-        side=quarter[rows[begins]].astype(np.int64) % 2,
         corridor=corridor,
         row=passes,
         aside=np.where((nth > 0) & corner[passes - 1], aside[passes - 1], 0.0),

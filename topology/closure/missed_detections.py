@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..columns import joined, take
 from ..mapbuilding import DRAWING
+from ..matching.likelihood import LIKELIHOOD
 from ..odometry import Odometry
 from ..passes import DRIVEN_RAD, ONE_WAY_RAD
 from ..se2 import turned, wrap
@@ -37,8 +38,6 @@ class DrivenBySettings:
     """Log odds [nats] of a phantom at which a place is removed."""
     least_miss_rate: float = 0.1
     """Lower bound of the miss rate of a junction that was missed once: causes persist."""
-    least_phantom_rate: float = 0.01
-    """Lower bound of the rate of spurious junctions, which a run may show too few of."""
 
 
 DRIVEN_BY = DrivenBySettings()
@@ -157,7 +156,7 @@ def phantoms(reckoning: DeadReckoning, places: Places, unseen: IntArray) -> Bool
     """
     noise = reckoning.noise
     miss = max(2 * noise.miss_rate, DRIVEN_BY.least_miss_rate)
-    invented = max(noise.phantom_rate, DRIVEN_BY.least_phantom_rate)
+    invented = max(noise.phantom_rate, LIKELIHOOD.fault_floor)
     odds = places.visits * np.log(invented) - unseen * np.log(miss)
     count = np.isfinite(places.heading).sum(axis=1)
     first_two = np.sort(places.heading, axis=1)[:, :2]

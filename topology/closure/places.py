@@ -27,8 +27,7 @@ class Places:
     the branch, 0 for one known from the track alone; visits: (n,) number of passes; confidence:
     (n,) mean over its passes; first: (n,) its first pass. next_place, next_slot: (n, s) other end
     of the corridor of the slot, NOWHERE if it was not driven; length: (n, s) of that leg [m];
-    driven: (n, s) number of legs to this end; tried: (n, s) number of legs to any end. entry: (p,)
-    slot by which each pass arrived.
+    driven: (n, s) number of legs to this end; tried: (n, s) number of legs to any end.
     """
 
     heading: FloatArray
@@ -41,7 +40,6 @@ class Places:
     length: FloatArray
     driven: IntArray
     tried: IntArray
-    entry: IntArray
 
     def __len__(self) -> int:
         return len(self.visits)
@@ -86,7 +84,7 @@ def tabulate(reckoning: DeadReckoning, place: IntArray, turn: FloatArray) -> Pla
         ends[known] = slot[branches.offsets[known] + local[known]]
     entry[no_entry], exit_[no_exit] = np.split(slot[len(branches.owner) :], [len(no_entry)])
     ways = _ways(reckoning, place, entry, exit_, (n, width))
-    return Places(heading, share, visits, confidence, first, *ways, entry)
+    return Places(heading, share, visits, confidence, first, *ways)
 
 
 def _ways(

@@ -3,9 +3,7 @@
 Before closure little is known of an odometry's drift (`ingest/odometry/noise.py`). The residuals of
 loops show it: each variance is the sum of its squared residuals over their degrees of freedom
 (Förstner, Ein Verfahren zur Schätzung von Varianz- und Kovarianzkomponenten, 1979; iterated, it is
-REML). Corrections: a robust kernel reduces residuals, so they are compared with its expectation for
-normal residuals (Huber's proposal 2); the heading of a pass is a mean over its messages and varies
-less than the heading at its middle (`_smoothed`). How an odometry's error divides among its random
+REML). How an odometry's error divides among its random
 walks is hardly observable; its overall level is.
 """
 
@@ -18,17 +16,12 @@ import numpy as np
 from ..arrays import FloatArray, IntArray
 from ..columns import take
 from ..odometry import Odometry
-from ..passes import Passes
-from ..posegraph.graph import edge_errors, prior_errors, squared
-from ..posegraph.marginals import Marginals
+from ..posegraph.graph import edge_errors, prior_errors
 from ..posegraph.samples import SampledMarginals, square_root
-from ..ragged import numbered
 from ..topomap import RunNoise
-from ..track import walked_at
-from ..walk_means import WalkMeans
 from .dead_reckoning import RANDOM, DeadReckoning, dead_reckoning
 from .estimate import ESTIMATE, Estimate, leg_covariance, optimise
-from .manhattan import GridCorridors, GridHeadings, with_spread
+from .manhattan import GridHeadings, with_spread
 
 COMPONENTS = (
     "along_m_per_sqrt_m",
@@ -95,11 +88,10 @@ def fitted_noise(
         prior = np.append(prior, grid.spread_rad**2)
     unit_walks = _reckonings_by_walk(reckoning, odometry)
     legs_by_walk = _leg_covariances(reckoning, unit_walks)
-    smoothed = _smoothed(odometry, reckoning.passes)
     variance = prior
     estimate = optimise(reckoning, place, estimate.pose, grid=grid)
     for rounds_left in reversed(range(PRIOR.rounds)):
-        energy, freedom = _energy_and_freedom(estimate, legs_by_walk, smoothed, variance, grid)
+        energy, freedom = _energy_and_freedom(estimate, legs_by_walk, variance, grid)
         step = _variance_factors(
             energy, freedom, variance / prior, PRIOR.freedom, 2 if rounds_left else 1
         )
@@ -115,32 +107,6 @@ def fitted_noise(
     if grid is not None and grid.spread_rad > PRIOR.most_spread_rad:
         return fitted_noise(unfitted, odometry, place, estimate)
     return Fitted(reckoning, estimate, grid)
-
-
-def with_shown_spread(
-    corridors: GridCorridors, estimate: Estimate, grid: GridHeadings
-) -> GridCorridors:
-    """The corridors with their deviations from the grid by the estimate, for each axis of the grid.
-
-    estimate: optimised with these corridors; grid: of the corridors. One step of the variance
-    component estimate, with the prior of the grid.
-    """
-    graph, solution = estimate.graph, estimate.solution
-    lines, side = slice(len(graph.priors) - len(corridors.side), None), corridors.side
-    deviation = prior_errors(graph, solution.pose)[lines, 2]
-    # A subset represents all, for speed in long runs. Samples would depend on the frame.
-    sample = slice(None, None, -(-len(deviation) // ESTIMATE.samples) or 1)
-    node = graph.priors.node[lines][sample]
-    remaining = Marginals.of(graph, solution).joint(node, node)[0][:, 2, 2]
-    represented = np.bincount(side, minlength=2) / np.maximum(
-        np.bincount(side[sample], minlength=2), 1
-    )
-    freedom = represented * np.bincount(
-        side[sample], 1 - remaining / corridors.spread_rad[sample] ** 2, 2
-    )
-    prior = PRIOR.freedom * grid.spread_rad**2
-    variance = (np.bincount(side, deviation**2, 2) + prior) / (freedom + PRIOR.freedom)
-    return replace(corridors, spread_rad=np.sqrt(variance)[side])
 
 
 def _variance_factors(
@@ -195,20 +161,6 @@ def _leg_covariances(reckoning: DeadReckoning, units: list[DeadReckoning]) -> Fl
     return np.stack([leg_covariance(unit, row) for unit in units])
 
 
-def _smoothed(odometry: Odometry, passes: Passes) -> FloatArray:
-    """(p, 2) variance that the heading of each pass lacks, because it is a mean over messages,
-    against the walks at its middle: of 1 rad per √m driven and per √rad turned."""
-    messages = np.maximum(passes.messages, 1)
-    owner, number = numbered(messages)
-    fraction = number / np.maximum(messages - 1, 1)[owner]
-    time_ns = (passes.start_ns[owner] + fraction * (passes.end_ns - passes.start_ns)[owner]).astype(
-        np.int64
-    )
-    means = WalkMeans.of(walked_at(odometry, time_ns), owner, len(passes))
-    # Where the robot stands, sums may be rounded below 0.
-    return np.maximum(means.lost, 0.0)
-
-
 def _with_variances(
     reckoning: DeadReckoning, units: list[DeadReckoning], variance: FloatArray
 ) -> DeadReckoning:
@@ -226,62 +178,39 @@ class _Edges:
     """Edges of one kind.
 
     error: (k, 3); information: (k, 3, 3); residual: (k, 3, s) samples of the residuals after
-    solving, whitened; smoothed: (k, 3, s) the same by the variance that means over passes lack;
-    weight: (k,) at the solution; kernel: (k,) widths in sigmas.
+    solving, whitened; weight: (k,) at the solution, by which information counts.
     """
 
     error: FloatArray
     information: FloatArray
     residual: FloatArray
-    smoothed: FloatArray
     weight: FloatArray
-    kernel: FloatArray
 
     def shares(self, part: FloatArray) -> tuple[float, float]:
         """Squared error by one component, in units of its variance, and its degrees of freedom.
 
         part: (k, 3, 3) V, the covariance by the component. With e the error, Ω its information and
-        C the covariance of e at the solution: eᵀ Ω V Ω e, and tr(Ω V) - tr(Ω V Ω C), minus the
-        smoothed part. That can exceed the rest before the variances have converged.
+        C the covariance of e at the solution: eᵀ Ω V Ω e, and tr(Ω V) - tr(Ω V Ω C).
         """
         root = square_root(self.information)
         whitened_part = root.transpose(0, 2, 1) @ part @ root
         whitened = (root.transpose(0, 2, 1) @ self.error[:, :, None])[:, :, 0]
         energy = self.weight @ np.einsum("ki,kij,kj->k", whitened, whitened_part, whitened)
-        residual_trace, smoothed_trace = (
-            np.einsum("kis,kij,kjs->k", samples, whitened_part, samples)
-            for samples in (self.residual, self.smoothed)
+        trace = self.weight @ np.einsum(
+            "kis,kij,kjs->k", self.residual, whitened_part, self.residual
         )
-        trace = float(self._expected_weight() @ (residual_trace - smoothed_trace))
-        return float(energy), max(trace / self.residual.shape[2], 0.0)
-
-    def _expected_weight(self) -> FloatArray:
-        """(k,) mean weight of normal errors in their Cauchy kernels.
-
-        An edge that measures f numbers has a χ² of f degrees of freedom, scaled by its redundancy.
-        """
-        if not np.isfinite(self.kernel).any():
-            return np.ones(len(self.kernel))
-        from scipy.special import gammaincinv
-
-        rank = np.linalg.matrix_rank(self.information[0])
-        redundancy = np.mean((self.residual**2).sum(axis=1), axis=1) / rank
-        chi2 = 2 * gammaincinv(rank / 2, (np.arange(64) + 0.5) / 64)
-        weighted = chi2 / (1 + redundancy[:, None] * chi2 / self.kernel[:, None] ** 2)
-        return np.asarray(weighted.mean(axis=1) / chi2.mean())
+        return float(energy), float(trace) / self.residual.shape[2]
 
 
 def _energy_and_freedom(
     estimate: Estimate,
     legs_by_walk: FloatArray,
-    smoothed: FloatArray,
     variance: FloatArray,
     grid: GridHeadings | None,
 ) -> tuple[FloatArray, FloatArray]:
     """(c,) each: squared error of each component in units of its variance, and degrees of
     freedom."""
-    lacking = smoothed[estimate.sighting] @ variance[1:_WALKS]
-    legs, sightings, headings = _edges_by_kind(estimate, legs_by_walk.shape[1], lacking)
+    legs, sightings, headings = _edges_by_kind(estimate, legs_by_walk.shape[1])
     shares = [legs.shares(variance[k] * legs_by_walk[k]) for k in range(_WALKS)]
     for axes in ((0, 1), (2,)):
         covariance = np.zeros_like(sightings.information)
@@ -299,55 +228,18 @@ def _energy_and_freedom(
     return energy, freedom
 
 
-def _edges_by_kind(
-    estimate: Estimate, legs: int, lacking: FloatArray
-) -> tuple[_Edges, _Edges, _Edges]:
+def _edges_by_kind(estimate: Estimate, legs: int) -> tuple[_Edges, _Edges, _Edges]:
     """The edges of an estimate: `legs` of odometry, observations of places, and headings by the
-    grid.
-
-    lacking: (k,) variance [rad²] that the heading of each observation lacks, as a mean over a pass.
-    """
+    grid."""
     graph, solution = estimate.graph, estimate.solution
+    sampled = SampledMarginals.of(graph, solution, ESTIMATE.samples)
     error = edge_errors(graph, solution.pose, solution.shared)
-    rows = slice(0, legs), slice(legs, legs + len(lacking))
-    loops = slice(rows[1].stop, rows[1].stop + len(estimate.loop_chi2))
-    prior_error = prior_errors(graph, solution.pose)
-    priors = graph.priors
-    stiffness = np.ones(len(error))
-    for part in (rows[1], loops):
-        stiffness[part] = _mean_stiffness(solution.edge_chi2[part], graph.kernel[part], 3)
-    prior_chi2 = squared(prior_error, priors.information)
-    prior_stiffness = np.full(len(priors), _mean_stiffness(prior_chi2, priors.kernel, 1))
-    stiffened = replace(solution, edge_weight=stiffness, prior_weight=prior_stiffness)
-    sampled = SampledMarginals.of(graph, stiffened, ESTIMATE.samples, outliers=False)
-    errors = np.zeros((len(error), 3))
-    errors[rows[1], 2] = np.sqrt(lacking)
-    smoothed = sampled.by_edges(errors)
-    edges = _Edges(
-        error,
-        graph.information,
-        sampled.edge_residual,
-        smoothed.edge_residual,
-        solution.edge_weight,
-        graph.kernel,
-    )
+    edges = _Edges(error, graph.information, sampled.edge_residual, solution.edge_weight)
     headings = _Edges(
-        prior_error,
-        priors.information,
+        prior_errors(graph, solution.pose),
+        graph.priors.information,
         sampled.prior_residual,
-        smoothed.prior_residual,
         solution.prior_weight,
-        priors.kernel,
     )
-    return take(edges, rows[0]), take(edges, rows[1]), headings
-
-
-def _mean_stiffness(chi2: FloatArray, kernel: FloatArray, rank: int) -> float:
-    """Mean derivative of w(χ²) e by e over the `rank` directions of e, for a Cauchy kernel.
-
-    It is the stiffness of the edges against small changes, while w is the weight of their errors.
-    """
-    if not np.isfinite(kernel).any():
-        return 1.0
-    share = chi2 / kernel**2
-    return float(np.mean(1 / (1 + share) - 2 * share / rank / (1 + share) ** 2))
+    sightings = slice(legs, legs + len(estimate.sighting))
+    return take(edges, slice(legs)), take(edges, sightings), headings

@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import chdtri
 
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..columns import joined, take
@@ -29,17 +30,11 @@ from .incremental import needed_odds
 class ViewLoopSettings:
     """Which views are compared, and when they are one place."""
 
-    apart_m: float = 24.0
-    """Least distance along the way of two views that share no scans: a view is made of 10 m before
-    and after its place."""
     reach_m: float = 2.0
     """Largest distance of two views that overlap enough to be compared."""
     doubt: float = 2.0
     """Factor on the noise of dead reckoning before the first loop: in one of five buildings the
     noise was underestimated by as much."""
-    gate_chi2: float = 6.0
-    """Largest squared distance, in standard deviations (95 %), at which a pair is registered: where
-    copies abound, a place that is hardly possible is a copy."""
     tests: int = 12
     """Upper bound of the registered pairs per view, which bounds the time."""
     nulls: int = 300
@@ -53,18 +48,35 @@ class ViewLoopSettings:
     pairs: int = 30_000
     """Pairs of views, the nearest to each other, among which those to register are chosen: 50
     MB."""
-    place_m2: float = 50.0
-    """Area of one place, the null model of position: another place may be anywhere else."""
     cell_m: float = 8.0
-    """Distance within which views are not independent, so that they count once."""
-    beside_m: float = 30.0
-    """Way along which loops support each other."""
-    known_m: float = 0.15
-    """Pairs whose relative position is known to this (1 sigma) are not registered."""
+    """Distance within which views are not independent, so that they count once. Its square is the
+    area of one place, the null model of position: another place may be anywhere else."""
     sigma_m: float = 0.07
     sigma_rad: float = 0.01
     """1 sigma of a registration in addition to the covariance by its walls. Median errors against
     the true tracks of four buildings are .09 to .19 m, those of the truth included, and .02 rad."""
+
+    @property
+    def apart_m(self) -> float:
+        """Least distance along the way of two views that share no scans: a view is made of 10 m
+        before and after its place."""
+        return 3 * self.cell_m
+
+    @property
+    def beside_m(self) -> float:
+        """Way along which loops support each other."""
+        return 4 * self.cell_m
+
+    @property
+    def known_m(self) -> float:
+        """Pairs whose relative position is known to this (1 sigma) are not registered."""
+        return 2 * self.sigma_m
+
+    @property
+    def gate_chi2(self) -> float:
+        """Largest squared distance, in standard deviations (95 %), at which a pair is registered:
+        where copies abound, a place that is hardly possible is a copy."""
+        return float(chdtri(2, LIKELIHOOD.outlier_share))
 
 
 VIEW_LOOPS = ViewLoopSettings()
@@ -225,7 +237,7 @@ class _Search:
         shift, cov = self._relative(i, j)
         reach2 = VIEW_LOOPS.reach_m**2
         position_variance = 0.5 * (cov[:, 0, 0] + cov[:, 1, 1])
-        variance = position_variance + 0.25 * reach2
+        variance = position_variance + (0.5 * VIEW_LOOPS.reach_m) ** 2
         distance2 = shift[:, 0] ** 2 + shift[:, 1] ** 2
         odds = -0.5 * distance2 / variance - np.log(variance)
         in_reach = distance2 < VIEW_LOOPS.gate_chi2 * variance
@@ -298,12 +310,12 @@ class _Search:
         self, transform: FloatArray, shift: FloatArray, cov: FloatArray
     ) -> FloatArray:
         """(k,) log odds [nats] of registered transforms by position: normal about the expected
-        shift, against uniform over `place_m2`."""
+        shift, against uniform over a cell."""
         offset = (transform - shift)[:, :2]
         spread = cov[:, :2, :2] + VIEW_LOOPS.sigma_m**2 * np.eye(2)
         d2 = np.einsum("ki,kij,kj->k", offset, np.linalg.inv(spread), offset)
         area = 2 * np.pi * np.sqrt(np.linalg.det(spread))
-        odds = np.log(VIEW_LOOPS.place_m2 / area) - 0.5 * d2
+        odds = np.log(VIEW_LOOPS.cell_m**2 / area) - 0.5 * d2
         return np.asarray(np.minimum(odds, EVIDENCE.lead))
 
     def _support(self, tested: _Tested, rows: IntArray, odds: FloatArray) -> FloatArray:

@@ -229,7 +229,7 @@ def _components(a: Structure, b: Structure, links: Links, settings: GrowthSettin
     component = connected(inverse[:size], inverse[size:], len(code))
     count = int(component.max(initial=-1)) + 1
     # A branch driven in both maps whose corridors do not pair is an incompatibility.
-    satisfied = _tested_branches(a, b, links, inverse, rectilinear)
+    satisfied = _tested_branches(a, links, inverse, rectilinear)
     shared = shared_branches(a, b, nodes, rectilinear)
     rejected = np.zeros(count, np.bool_)
     rejected[component[satisfied < shared]] = True
@@ -265,16 +265,12 @@ def _out_of_bounds(
     return component[difference > bound[corridors_of_match[component]] * sigma]
 
 
-def _tested_branches(
-    a: Structure, b: Structure, links: Links, node: IntArray, rectilinear: bool
-) -> IntArray:
+def _tested_branches(a: Structure, links: Links, node: IntArray, rectilinear: bool) -> IntArray:
     """(N,) corresponding branches of each node along which a pair of corridors was found.
 
     node: (2 L,) the start nodes of all links, then their end nodes.
     """
     count = int(node.max(initial=-1)) + 1
-    if not a.crowded and not b.crowded:
-        return np.bincount(node, minlength=count)
     leaving, arriving = (a.out_slot, a.in_slot) if rectilinear else (a.out_branch, a.in_branch)
     branch = np.concatenate([leaving[links.dart_a], arriving[links.dart_a]])
     width = int(branch.max(initial=0)) + 1

@@ -16,6 +16,7 @@ import numpy as np
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..columns import take
 from ..errors import UsageError
+from ..passes import ONE_WAY_RAD
 from ..ragged import numbered
 from ..se2 import wrap
 from .branches import mutual_nearest
@@ -45,7 +46,7 @@ class GrowthSettings:
     """exact: a static world; inexact: doors open and close (§2.1)."""
     unmatched_branches: int = 1
     """Inexact degree: number of branches of either vertex of a pair that may lack a partner."""
-    branch_tolerance_rad: float = 0.35
+    branch_tolerance_rad: float = ONE_WAY_RAD
     """General world: largest angle between two corresponding branches after the pair's rotation."""
     confidence: float = 0.999
     """Probability that a correct match passes the comparison of its lengths."""

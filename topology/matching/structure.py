@@ -50,8 +50,7 @@ class Structure:
     quarter turn 0..3 of each branch on that grid, -1 beyond the degree; mask, explored_mask: (n,)
     bit s is set if a branch (a driven branch) lies in slot s; out_slot, in_slot: (2 m,) slots of
     out_branch and in_branch; slot_kind: (2 m,) invariant under quarter turns, as one number: the
-    turn between leaving and arriving (times 256) and the slots at both ends. crowded:
-    whether a branch (or slot) of some vertex is used by more than one dart.
+    turn between leaving and arriving (times 256) and the slots at both ends.
     """
 
     heading: FloatArray
@@ -71,7 +70,6 @@ class Structure:
     out_slot: IntArray
     in_slot: IntArray
     slot_kind: IntArray
-    crowded: bool
 
     def __len__(self) -> int:
         """Number of vertices."""
@@ -96,8 +94,6 @@ def prepare(topomap: TopoMap) -> Structure:
     bit = np.where(slot >= 0, 1 << np.maximum(slot, 0), 0)
     mask = np.bitwise_or.reduce(bit, axis=1)
     out_slot, in_slot = slot[start, out_branch], slot[end, in_branch]
-    local = out_slot if grid is not None else out_branch
-    crowded = len(np.unique(start * (width + 4) + local)) < len(start)
     return Structure(
         heading=heading,
         unit=unit_headings(heading),
@@ -116,7 +112,6 @@ def prepare(topomap: TopoMap) -> Structure:
         out_slot=out_slot,
         in_slot=in_slot,
         slot_kind=_slot_kind(out_slot, in_slot, mask[start], mask[end]),
-        crowded=crowded,
     )
 
 

@@ -19,7 +19,7 @@ Mashner, Chirikjian, The banana distribution is Gaussian, RSS 2012).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -168,6 +168,37 @@ class PoseGraph:
     def __len__(self) -> int:
         """Number of poses."""
         return len(self.pose)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solution:
+    """The solved poses with their residuals.
+
+    pose: (n, 3); shared: (k,) systematic errors; chi2: Σ eᵀΩe over all edges, without kernels,
+    weights and priors (g2o's metric); cost: the minimised cost, with kernels, weights and priors;
+    edge_chi2: (m,) eᵀΩe; edge_weight: (m,) in [0, 1], weights by the kernels; prior_weight: (u,)
+    likewise; iterations: number of factorisations; converged: whether the gradient vanishes, i.e. a
+    full step would lower the cost by no more than the tolerances of `SolverSettings`.
+    """
+
+    pose: FloatArray
+    shared: FloatArray
+    chi2: float
+    cost: float
+    edge_chi2: FloatArray
+    edge_weight: FloatArray
+    prior_weight: FloatArray
+    iterations: int
+    converged: bool
+
+    def with_full_weights(self) -> Solution:
+        """The solution with weights above 1/2 set to 1, for covariances.
+
+        A Cauchy estimate is nearly as efficient as least squares (97 % at a width of three sigmas),
+        although the weights of inliers at the solution are below 1.
+        """
+        edge, prior = (np.where(w > 0.5, 1.0, w) for w in (self.edge_weight, self.prior_weight))
+        return replace(self, edge_weight=edge, prior_weight=prior)
 
 
 def edge_errors(graph: PoseGraph, pose: FloatArray, shared: FloatArray) -> FloatArray:

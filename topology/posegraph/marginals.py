@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..arrays import FloatArray, IntArray
-from .graph import PoseGraph
-from .normal_equations import Factor, Point, build_pattern, linearise
+from .graph import PoseGraph, Solution
+from .normal_equations import Factor, build_pattern, linearise
 from .skeleton import skeleton
 
 _CHUNK = 128
@@ -27,7 +27,7 @@ class Marginals:
     factor: Factor
 
     @classmethod
-    def of(cls, graph: PoseGraph, solution: Point) -> Marginals:
+    def of(cls, graph: PoseGraph, solution: Solution) -> Marginals:
         """Linearise and factorise at a solution, with the solution's weights of edges and
         priors."""
         pattern = build_pattern(graph, skeleton(graph))

@@ -11,7 +11,6 @@ few dense columns of the border would fill the factors; b follows from the Schur
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +18,8 @@ from scipy import sparse
 from scipy.sparse.linalg import SuperLU, splu
 
 from ..arrays import FloatArray, IntArray
-from .graph import PoseGraph, corrected_measurement, edge_errors, prior_errors
+from ..se2 import turned_axes
+from .graph import PoseGraph, Solution, corrected_measurement, edge_errors, prior_errors
 from .skeleton import Skeleton, summed
 
 _FIXED = -1
@@ -35,26 +35,13 @@ determined by the ones before it, up to rounding. In chains of thousands of pose
 1e-8 (CSAIL: 3e-8)."""
 
 
-class Point(Protocol):
-    """Where to linearise: poses, shared errors, and the weights of edges and priors there."""
-
-    @property
-    def pose(self) -> FloatArray: ...  # noqa: D102
-    @property
-    def shared(self) -> FloatArray: ...  # noqa: D102
-    @property
-    def edge_weight(self) -> FloatArray: ...  # noqa: D102
-    @property
-    def prior_weight(self) -> FloatArray: ...  # noqa: D102
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Pattern:
     """Sparsity pattern of the normal matrix, computed once per graph.
 
     variable: (n, 3) column of each pose component, -1 where it is fixed; indices, indptr: pattern
     of A (CSC); slot: (4 m + u, 9) index into A's data of every entry of each 3 × 3 block, one past
-    the end for fixed components; diagonal: (size,) indices of the diagonal; rigid: see `Skeleton`.
+    the end for fixed components; diagonal: (size,) indices of the diagonal.
     """
 
     variable: IntArray
@@ -63,7 +50,6 @@ class Pattern:
     indptr: NDArray[np.int32]
     slot: IntArray
     diagonal: IntArray
-    rigid: bool
 
 
 def build_pattern(graph: PoseGraph, frame: Skeleton) -> Pattern:
@@ -112,7 +98,6 @@ def build_pattern(graph: PoseGraph, frame: Skeleton) -> Pattern:
         np.concatenate([[0], np.cumsum(per_column)]).astype(np.int32),
         slot[block_of[: 4 * m + len(u)]],
         diagonal[free],
-        frame.rigid,
     )
 
 
@@ -120,8 +105,7 @@ def build_pattern(graph: PoseGraph, frame: Skeleton) -> Pattern:
 class NormalEquations:
     """The normal equations at one point: data of A in the pattern's order, gradient, and border.
 
-    belief: (k,) 1 / σ² of the shared errors, included in `corner`; definite: whether A is known to
-    be positive definite.
+    belief: (k,) 1 / σ² of the shared errors, included in `corner`.
     """
 
     pattern: Pattern
@@ -131,7 +115,6 @@ class NormalEquations:
     border_gradient: FloatArray
     corner: FloatArray
     belief: FloatArray
-    definite: bool
 
     def factorise(self, damping: float = 0.0) -> Factor:
         """Factors of the damped system, positive definite for any graph.
@@ -145,7 +128,7 @@ class NormalEquations:
         scale = np.where(diagonal > 0, diagonal, 1.0)
         loading = np.where(diagonal > 0, damping + _LOADING, 1.0) * scale
         lu = self._factored(loading) if p.size else None
-        if lu is not None and damping < _FREE and not self.definite:
+        if lu is not None and damping < _FREE:
             free = lu.U.diagonal() <= _FREE * scale
             if free.any():
                 lu = self._factored(loading + np.where(free, scale, 0.0))
@@ -219,90 +202,40 @@ class Factor:
         return sparse_part + float(np.linalg.slogdet(self.schur)[1])
 
 
-def linearise(graph: PoseGraph, pattern: Pattern, at: Point) -> NormalEquations:
+def linearise(graph: PoseGraph, pattern: Pattern, at: Solution) -> NormalEquations:
     """Normal equations at a point, with information scaled by the weights there. O(m).
 
-    Vectorised over edges, one array per matrix entry. With B = diag(R(φ)ᵀ, 1), φ = θ_i + θ_ij + s
-    e_θ, s the swing, E = [I, (1 − s) J(t_j − t_i); 0, 1] and F = [I, −s J(t_j − t_i); 0, 1], the
-    Jacobians are J_j = B F and J_i = −B E. All blocks follow from G = Bᵀ Ω B, the information
-    rotated into the frame of the graph: H_jj = Fᵀ G F, H_ij = −Eᵀ G F, H_ii = Eᵀ G E. One
-    `bincount` adds them up in the slots of the pattern.
+    With e the errors of the edges, J their derivatives and Ω their information, the blocks are
+    H_ij = J_iᵀ Ω J_j, the gradients −J_iᵀ Ω e; one `bincount` adds them up in the slots of the
+    pattern.
     """
-    pose, shared, m = at.pose, at.shared, len(graph.source)
-    T_i_j = corrected_measurement(graph, shared)
+    pose, shared = at.pose, at.shared
     error = edge_errors(graph, pose, shared)
-    phi = pose[graph.source, 2] + T_i_j[:, 2] + graph.swing * error[:, 2]
-    c, s = np.cos(phi), np.sin(phi)
-    step = pose[graph.target, :2] - pose[graph.source, :2]
-    lever_i, lever_j = ((1 - graph.swing) * step.T), -graph.swing * step.T
-    G = _rotated(graph.information, c, s) * at.edge_weight
-    blocks = np.empty((4 * m + len(graph.priors), 3, 3))
-    H_ii, H_ij, H_ji, H_jj = (blocks[k * m : (k + 1) * m].transpose(1, 2, 0) for k in range(4))
-    at_i, at_j = _through(G, lever_i), -_through(G, lever_j)
-    H_ii[:] = _through(at_i.transpose(1, 0, 2), lever_i)
-    H_ij[:] = -_through(at_i.transpose(1, 0, 2), lever_j).transpose(1, 0, 2)
-    H_ji[:] = H_ij.transpose(1, 0, 2)
-    H_jj[:] = -_through(at_j.transpose(1, 0, 2), lever_j)
-    blocks[4 * m :] = graph.priors.information * at.prior_weight[:, None, None]
-    data = summed(pattern.slot.ravel(), blocks.ravel(), len(pattern.indices) + 1)[:-1]
+    information = graph.information * at.edge_weight[:, None, None]
+    known_information = graph.priors.information * at.prior_weight[:, None, None]
+    jacobians = pose_jacobians(graph, pose, shared)
+    weighted = [information @ J for J in jacobians]
+    blocks = [J.transpose(0, 2, 1) @ weighted_J for J in jacobians for weighted_J in weighted]
+    entries = np.concatenate([*blocks, known_information]).ravel()
+    data = summed(pattern.slot.ravel(), entries, len(pattern.indices) + 1)[:-1]
 
     ends = (graph.source, graph.target, graph.priors.node)
-    pull = _product(G, _rotated_back(error, c, s))
-    pull_i, pull_j = _through(pull, lever_i), -_through(pull, lever_j)
-    known = _times(blocks[4 * m :], prior_errors(graph, pose))
-    gradient = _scatter(pattern, ends, (pull_i.T, pull_j.T, known))
+    pulls = [np.einsum("eij,ei->ej", weighted_J, error) for weighted_J in weighted]
+    known = np.einsum("eij,ej->ei", known_information, prior_errors(graph, pose))
+    gradient = _scatter(pattern, ends, (*pulls, known))
     k = len(graph.shared)
     border, corner, slope = np.zeros((pattern.size, k)), np.zeros((k, k)), np.zeros(k)
     belief = 1.0 / np.square(graph.shared.sigma)
     if k:
-        J_b = np.matmul(measurement_jacobian(graph, pose, shared), graph.shared.sensitivity)
+        J_b = measurement_jacobian(graph, pose, shared) @ graph.shared.sensitivity
+        crossed = [weighted_J.transpose(0, 2, 1) @ J_b for weighted_J in weighted]
         for column in range(k):
-            G_b = _product(G, _rotated_back(J_b[:, :, column], c, s))
-            both = (_through(G_b, lever_i).T, -_through(G_b, lever_j).T)
+            both = (crossed[0][:, :, column], crossed[1][:, :, column])
             border[:, column] = -_scatter(pattern, ends[:2], both)
-        weighted = np.matmul(graph.information * at.edge_weight[:, None, None], J_b)
-        corner = np.einsum("eik,eil->kl", J_b, weighted) + np.diag(belief)
-        slope = -np.einsum("eik,ei->k", weighted, error) - belief * shared
-    definite = pattern.rigid and bool(np.all(at.edge_weight > _FREE))
-    return NormalEquations(pattern, data, gradient, border, slope, corner, belief, definite)
-
-
-def _rotated(information: FloatArray, c: FloatArray, s: FloatArray) -> FloatArray:
-    """(3, 3, m) Bᵀ Ω B for B = diag([[c, s], [-s, c]], 1)."""
-    xx, xy, xt = information[:, 0, 0], information[:, 0, 1], information[:, 0, 2]
-    yy, yt, tt = information[:, 1, 1], information[:, 1, 2], information[:, 2, 2]
-    cc, cs, ss = c * c, c * s, s * s
-    G = np.empty((3, 3, len(c)))
-    G[0, 0] = cc * xx - 2 * cs * xy + ss * yy
-    G[1, 1] = ss * xx + 2 * cs * xy + cc * yy
-    G[0, 1] = G[1, 0] = cs * (xx - yy) + (cc - ss) * xy
-    G[0, 2] = G[2, 0] = c * xt - s * yt
-    G[1, 2] = G[2, 1] = s * xt + c * yt
-    G[2, 2] = tt
-    return G
-
-
-def _rotated_back(vector: FloatArray, c: FloatArray, s: FloatArray) -> FloatArray:
-    """(3, m) Bᵀ v of (m, 3): from the frame of the measurement to that of the graph."""
-    x, y, theta = vector.T
-    return np.stack([c * x - s * y, s * x + c * y, theta])
-
-
-def _product(G: FloatArray, vector: FloatArray) -> FloatArray:
-    """(3, m) G v of (3, m) vectors: gradient of the cost at the end of each edge."""
-    return np.stack([row[0] * vector[0] + row[1] * vector[1] + row[2] * vector[2] for row in G])
-
-
-def _through(pull: FloatArray, lever: FloatArray) -> FloatArray:
-    """−Eᵀ times gradients (3, …, m) at the end of each edge, E = [I, J lever; 0, 1], levers (2,
-    m)."""
-    x, y = lever
-    return np.stack([-pull[0], -pull[1], y * pull[0] - x * pull[1] - pull[2]])
-
-
-def _times(matrix: FloatArray, vector: FloatArray) -> FloatArray:
-    """(k, 3, 3) times (k, 3)."""
-    return np.asarray(np.matmul(matrix, vector[:, :, None])[:, :, 0])
+        weighted_b = information @ J_b
+        corner = np.einsum("eik,eil->kl", J_b, weighted_b) + np.diag(belief)
+        slope = -np.einsum("eik,ei->k", weighted_b, error) - belief * shared
+    return NormalEquations(pattern, data, gradient, border, slope, corner, belief)
 
 
 def _scatter(
@@ -313,6 +246,24 @@ def _scatter(
     flat = np.concatenate([value.ravel() for value in values])
     free = where >= 0
     return -summed(where[free], flat[free], pattern.size)
+
+
+def pose_jacobians(
+    graph: PoseGraph, pose: FloatArray, shared: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """(m, 3, 3) each: derivatives of the edge errors by source pose and target pose.
+
+    With B = diag(R(φ)ᵀ, 1), φ = θ_i + θ_ij + s e_θ, and s the swing: J_j = B [I, −s J(t_j − t_i);
+    0, 1] and J_i = −B [I, (1 − s) J(t_j − t_i); 0, 1].
+    """
+    T_i_j, error = corrected_measurement(graph, shared), edge_errors(graph, pose, shared)
+    x, y, _ = (pose[graph.target] - pose[graph.source]).T
+    J_j = turned_axes(-(pose[graph.source, 2] + T_i_j[:, 2] + graph.swing * error[:, 2]))
+    J_i = -J_j
+    lever = J_i[:, :2, 0] * -y[:, None] + J_i[:, :2, 1] * x[:, None]
+    J_i[:, :2, 2] = (1 - graph.swing)[:, None] * lever
+    J_j[:, :2, 2] = graph.swing[:, None] * lever
+    return J_i, J_j
 
 
 def measurement_jacobian(graph: PoseGraph, pose: FloatArray, shared: FloatArray) -> FloatArray:

@@ -7,19 +7,24 @@ with a relative standard error of √(2 / count), which suffices for gating cand
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from scipy import sparse
 
 from ..arrays import FloatArray, IntArray
-from ..se2 import turned_axes
-from .graph import PoseGraph, corrected_measurement, edge_errors
+from .graph import PoseGraph, Solution
 from .marginals import relative_jacobians
-from .normal_equations import Factor, Pattern, Point, build_pattern, linearise, measurement_jacobian
+from .normal_equations import (
+    Factor,
+    Pattern,
+    build_pattern,
+    linearise,
+    measurement_jacobian,
+    pose_jacobians,
+)
 from .skeleton import skeleton
 
 
@@ -28,9 +33,9 @@ class _Linearised:
     """A graph linearised and factorised at its solution.
 
     J_i, J_j, J_b: derivatives of the edge errors with respect to source pose, target pose and
-    shared errors; own, own_known: square roots R of the information of edges and priors, so that
-    Rᵀ e is white; root: R with the weights of the solution; push, push_known: sparse maps from
-    white errors of edges and priors to the gradient.
+    shared errors; root, root_known: square roots R of the information of edges and priors, with the
+    weights of the solution, so that Rᵀ e is white; push, push_known: sparse maps from white errors
+    of edges and priors to the gradient.
     """
 
     graph: PoseGraph
@@ -39,31 +44,22 @@ class _Linearised:
     J_i: FloatArray
     J_j: FloatArray
     J_b: FloatArray
-    own: FloatArray
-    own_known: FloatArray
     root: FloatArray
+    root_known: FloatArray
     push: sparse.csr_array[np.float64]
     push_known: sparse.csr_array[np.float64]
 
     @classmethod
-    def of(cls, graph: PoseGraph, solution: Point, *, outliers: bool) -> _Linearised:
-        """Linearise at `solution`; outliers: see `SampledMarginals.of`."""
+    def of(cls, graph: PoseGraph, solution: Solution) -> _Linearised:
+        """Linearise at `solution`."""
         pattern = build_pattern(graph, skeleton(graph))
         factor = linearise(graph, pattern, solution).factorise()
-        J_i, J_j = _jacobians(graph, solution.pose, solution.shared)
+        J_i, J_j = pose_jacobians(graph, solution.pose, solution.shared)
         J_m = measurement_jacobian(graph, solution.pose, solution.shared)
-        weights = (solution.edge_weight[:, None, None], solution.prior_weight[:, None, None])
-        root_information, root_prior = (square_root(of.information) for of in (graph, graph.priors))
-        if outliers:
-            root_information, root_prior = (
-                root_information * np.sqrt(weights[0]),
-                root_prior * np.sqrt(weights[1]),
-            )
-            scaled, scaled_prior = root_information, root_prior
-        else:
-            scaled, scaled_prior = root_information * weights[0], root_prior * weights[1]
-        push = _scattered(pattern, graph.source, J_i.transpose(0, 2, 1) @ scaled)
-        push = push + _scattered(pattern, graph.target, J_j.transpose(0, 2, 1) @ scaled)
+        root = square_root(graph.information * solution.edge_weight[:, None, None])
+        root_known = square_root(graph.priors.information * solution.prior_weight[:, None, None])
+        push = _scattered(pattern, graph.source, J_i.transpose(0, 2, 1) @ root)
+        push = push + _scattered(pattern, graph.target, J_j.transpose(0, 2, 1) @ root)
         return cls(
             graph=graph,
             pattern=pattern,
@@ -71,11 +67,10 @@ class _Linearised:
             J_i=J_i,
             J_j=J_j,
             J_b=J_m @ graph.shared.sensitivity,
-            own=root_information,
-            own_known=root_prior,
-            root=scaled,
+            root=root,
+            root_known=root_known,
             push=push,
-            push_known=_scattered(pattern, graph.priors.node, scaled_prior),
+            push_known=_scattered(pattern, graph.priors.node, root_known),
         )
 
     def moved(
@@ -127,40 +122,28 @@ class SampledMarginals:
         error = system.J_i @ self.error[graph.source] + system.J_j @ self.error[graph.target]
         if len(self.shared):
             error = error + system.J_b @ self.shared
-        return self._z.reshape(error.shape) - system.own.transpose(0, 2, 1) @ error
+        return self._z.reshape(error.shape) - system.root.transpose(0, 2, 1) @ error
 
     @cached_property
     def prior_residual(self) -> FloatArray:
         """(u, 3, count) the same for the priors."""
         system, count = self._system, self.error.shape[2]
-        error = system.own_known.transpose(0, 2, 1) @ self.error[system.graph.priors.node]
+        error = system.root_known.transpose(0, 2, 1) @ self.error[system.graph.priors.node]
         return self._z_known.reshape(-1, 3, count) - error
 
     @classmethod
-    def of(
-        cls, graph: PoseGraph, solution: Point, count: int = 64, *, outliers: bool = True
-    ) -> SampledMarginals:
+    def of(cls, graph: PoseGraph, solution: Solution, count: int = 64) -> SampledMarginals:
         """Sample the linearised posterior by solving for perturbed measurements.
 
         With H = Jᵀ Ω J and white z, H⁻¹ Jᵀ Ω^½ z has the covariance H⁻¹. The noise is the same at
-        every call. One factorisation and `count` solves. outliers: whether a measurement with
-        weight w at the solution is taken to be an outlier with information w Ω; otherwise it has
-        the error that it states, and is only weighted down by the solver: H⁻¹ Jᵀ w Ω^½ z.
+        every call. One factorisation and `count` solves. A measurement with weight w at the
+        solution is taken to be an outlier with information w Ω.
         """
-        system = _Linearised.of(graph, solution, outliers=outliers)
+        system = _Linearised.of(graph, solution)
         sizes = (3 * len(graph.source), 3 * len(graph.priors), len(graph.shared))
         z, z_known, z_shared = white(20040, [(size, count) for size in sizes])
         error, shared = system.moved(z, z_known, z_shared)
         return cls(np.asarray(solution.pose), error, shared, system, z, z_known)
-
-    def by_edges(self, sigma: FloatArray) -> SampledMarginals:
-        """The same samples if the only errors were those of the edges, with 1 sigma (m, 3) each [m,
-        m, rad]. `count` more solves. Only for samples made with outliers=False."""
-        error_samples = sigma[:, :, None] * self._z.reshape(-1, 3, self.error.shape[2])
-        z = (self._system.own.transpose(0, 2, 1) @ error_samples).reshape(self._z.shape)
-        z_known = np.zeros_like(self._z_known)
-        error, shared = self._system.moved(z, z_known, np.zeros_like(self.shared))
-        return replace(self, error=error, shared=shared, _z=z, _z_known=z_known)
 
     def relative(self, a: IntArray, b: IntArray) -> FloatArray:
         """(k, 3, 3) sample covariance of T_a_b, with a relative standard error of √(2 / count);
@@ -172,16 +155,8 @@ class SampledMarginals:
 
 def white(seed: int, shapes: Sequence[tuple[int, ...]]) -> list[FloatArray]:
     """Arrays of white noise, consecutive parts of one stream that is the same at every call."""
-    sizes = [math.prod(shape) for shape in shapes]
-    stream = _drawn.get(seed)
-    if stream is None or len(stream) < sum(sizes):
-        stream = np.random.default_rng(seed).standard_normal(sum(sizes))
-        stream.flags.writeable = False
-        if len(stream) <= MOST_DRAWN:
-            _drawn[seed] = stream
-    ends = np.cumsum(sizes).tolist()
-    parts = zip(shapes, sizes, ends, strict=True)
-    return [stream[end - size : end].reshape(shape) for shape, size, end in parts]
+    rng = np.random.default_rng(seed)
+    return [rng.standard_normal(shape) for shape in shapes]
 
 
 def of_unit_variance(noise: FloatArray) -> FloatArray:
@@ -192,27 +167,6 @@ def of_unit_variance(noise: FloatArray) -> FloatArray:
     the first 20 places by 3 % in the mean.
     """
     return np.asarray(noise / np.sqrt(np.mean(noise**2, axis=-1, keepdims=True)))
-
-
-MOST_DRAWN = 2**21
-"""Length of a stream that is kept for the next call, 16 MB: drawing takes longer than solving."""
-
-_drawn: dict[int, FloatArray] = {}  # by seed, the longest beginning of its stream so far
-
-
-def _jacobians(
-    graph: PoseGraph, pose: FloatArray, shared: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """(m, 3, 3) each: derivatives of the edge errors by source pose and target pose, as in
-    `linearise`."""
-    T_i_j, error = corrected_measurement(graph, shared), edge_errors(graph, pose, shared)
-    x, y, _ = (pose[graph.target] - pose[graph.source]).T
-    J_j = turned_axes(-(pose[graph.source, 2] + T_i_j[:, 2] + graph.swing * error[:, 2]))
-    J_i = -J_j
-    lever = J_i[:, :2, 0] * -y[:, None] + J_i[:, :2, 1] * x[:, None]
-    J_i[:, :2, 2] = (1 - graph.swing)[:, None] * lever
-    J_j[:, :2, 2] = graph.swing[:, None] * lever
-    return J_i, J_j
 
 
 def square_root(information: FloatArray) -> FloatArray:

@@ -14,19 +14,15 @@ from ..arrays import BoolArray, FloatArray, IntArray
 from ..connected import connected
 from .graph import PoseGraph
 
-_THIN = 1e-9
-"""An information matrix whose normalised determinant is smaller than this may be singular."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Skeleton:
     """order: (n,) poses in an elimination order that keeps the factors sparse (minimum degree);
     fixed: (n, 3) pose components that are held fixed, of one pose per connected component whose
-    frame would be free; rigid: whether there is certainly no other freedom."""
+    frame would be free."""
 
     order: IntArray
     fixed: BoolArray
-    rigid: bool
 
 
 def skeleton(graph: PoseGraph) -> Skeleton:
@@ -47,8 +43,7 @@ def skeleton(graph: PoseGraph) -> Skeleton:
         )
         order = np.argsort(factors.perm_c).astype(np.int64)
     component = _groups(graph, graph.information[:, 0, 0] + graph.information[:, 1, 1] > 0)
-    fixed = _gauge(graph, component)
-    return Skeleton(order, fixed, _is_rigid(graph, component, fixed))
+    return Skeleton(order, _gauge(graph, component))
 
 
 def summed(where: IntArray, values: NDArray[Any], size: int) -> FloatArray:
@@ -85,15 +80,6 @@ def _gauge(graph: PoseGraph, component: IntArray) -> BoolArray:
     is_held = anchors | (has_prior[:, 2] & measured)
     fixed[_first_without(body, is_held, measured), 2] = True
     return fixed
-
-
-def _is_rigid(graph: PoseGraph, component: IntArray, fixed: BoolArray) -> bool:
-    """Whether edges of full rank connect every pose to a fixed x, y and heading."""
-    xx, xy, xt, _, yy, yt, _, _, tt = graph.information.reshape(-1, 9).T
-    volume = xx * (yy * tt - yt * yt) - xy * (xy * tt - yt * xt) + xt * (xy * yt - yy * xt)
-    full_rank = (volume > _THIN * xx * yy * tt) & (xx * yy > xy * xy)
-    component_of_full_rank = component if full_rank.all() else _groups(graph, full_rank)
-    return not any(len(_first_without(component_of_full_rank, fixed[:, k])) for k in range(3))
 
 
 def _first_without(group: IntArray, has: BoolArray, among: BoolArray | None = None) -> IntArray:

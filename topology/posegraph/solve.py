@@ -17,7 +17,7 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..se2 import wrap
-from .graph import PoseGraph, edge_errors, prior_errors, squared
+from .graph import PoseGraph, Solution, edge_errors, prior_errors, squared
 from .normal_equations import Factor, NormalEquations, build_pattern, linearise
 from .skeleton import skeleton
 
@@ -34,43 +34,9 @@ class SolverSettings:
     """Converged when the cost exceeds its minimum by less than this, in units of χ²."""
     first_damping: float = 1e-4
     """Damping, relative to the diagonal, after the first rejected step."""
-    chord_share: float = 0.01
-    """The last factorisation is reused (chord method) for steps that promise to lower the cost by
-    no more than this share."""
     patience: int = 2
     """Number of consecutive full steps that may raise the cost before the solver returns to the
     best point."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Solution:
-    """The solved poses with their residuals.
-
-    pose: (n, 3); shared: (k,) systematic errors; chi2: Σ eᵀΩe over all edges, without kernels,
-    weights and priors (g2o's metric); cost: the minimised cost, with kernels, weights and priors;
-    edge_chi2: (m,) eᵀΩe; edge_weight: (m,) in [0, 1], weights by the kernels; prior_weight: (u,)
-    likewise; iterations: number of factorisations; converged: whether the gradient vanishes, i.e. a
-    full step would lower the cost by no more than the tolerances of `SolverSettings`.
-    """
-
-    pose: FloatArray
-    shared: FloatArray
-    chi2: float
-    cost: float
-    edge_chi2: FloatArray
-    edge_weight: FloatArray
-    prior_weight: FloatArray
-    iterations: int
-    converged: bool
-
-    def with_full_weights(self) -> Solution:
-        """The solution with weights above 1/2 set to 1, for covariances.
-
-        A Cauchy estimate is nearly as efficient as least squares (97 % at a width of three sigmas),
-        although the weights of inliers at the solution are below 1.
-        """
-        edge, prior = (np.where(w > 0.5, 1.0, w) for w in (self.edge_weight, self.prior_weight))
-        return replace(self, edge_weight=edge, prior_weight=prior)
 
 
 def solve(graph: PoseGraph, settings: SolverSettings = SolverSettings()) -> Solution:
@@ -81,24 +47,6 @@ def solve(graph: PoseGraph, settings: SolverSettings = SolverSettings()) -> Solu
     a hard graph: check `converged` and `chi2`.
     """
     return _Problem(graph).minimise(settings)
-
-
-def _excess(promised: float, last_promised: float) -> float:
-    """Estimate of how far the cost lies above its minimum, from the decreases that two
-    consecutive full steps promised.
-
-    Where the curvature is a share s of that of the factors, a step covers the share s of the way:
-    the next one promises (1 − s)² as much, and the cost is promised / s too high. s = 1 for exact
-    curvature, less with robust kernels or reused factors.
-    """
-    share = 1.0 - np.sqrt(min(promised / last_promised, 1.0)) if last_promised > 0 else 0.0
-    return promised / max(share, _LEAST_SHARE)
-
-
-def _converged(moved: Solution, current: Solution, iterations: int) -> Solution:
-    """The better end of the last step, marked as converged."""
-    best = moved if moved.cost <= current.cost else current
-    return replace(best, iterations=iterations, converged=True)
 
 
 class _Damping:
@@ -123,13 +71,6 @@ class _Damping:
         self._growth *= 2.0
 
 
-_LEAST_SHARE = 1e-3
-"""Lower bound of the curvature, as a share of that of the factors."""
-
-_MOST_CHORDS = 4
-"""Steps with the same factors: they converge linearly, so that a few suffice."""
-
-
 class _Problem:
     """A graph with all that stays constant between iterations."""
 
@@ -147,28 +88,15 @@ class _Problem:
         """
         best = current = self._evaluate(np.array(self.graph.pose), np.zeros(len(self.graph.shared)))
         damping = _Damping(settings.first_damping)
-        rises, iterations, chords, last_promised = 0, 0, 0, 0.0
-        factor: Factor | None = None
+        rises, iterations = 0, 0
         while iterations < settings.max_iterations:
             system = linearise(self.graph, self.pattern, current)
             tolerance = settings.relative_tolerance * best.cost + settings.absolute_tolerance
-            if factor is not None and current is best and chords < _MOST_CHORDS:
-                chords += 1
-                # Near the minimum the last factors are good enough, at a tenth of the cost.
-                moved, promised = self._step(system, factor, current)
-                if _excess(promised, last_promised) <= tolerance:
-                    return _converged(moved, best, iterations)
-                if promised <= settings.chord_share * best.cost and moved.cost <= best.cost:
-                    current, best, last_promised = moved, moved, promised
-                    continue
-            iterations, chords, undamped = iterations + 1, 0, damping.now == 0
-            factors = system.factorise(damping.now)
-            moved, promised = self._step(system, factors, current)
-            factor = factors if undamped else None
-            if undamped and current is best:
-                if _excess(promised, last_promised) <= tolerance:
-                    return _converged(moved, best, iterations)
-                last_promised = promised
+            iterations, undamped = iterations + 1, damping.now == 0
+            moved, promised = self._step(system, system.factorise(damping.now), current)
+            if undamped and current is best and promised <= tolerance:
+                end = moved if moved.cost <= best.cost else best
+                return replace(end, iterations=iterations, converged=True)
             if moved.cost <= best.cost:
                 damping.adapt(best.cost - moved.cost, promised)
                 if promised <= tolerance:

@@ -25,8 +25,6 @@ def test_a_lattice_is_found_by_its_steps():
     np.testing.assert_allclose(lattice.steps[order, 0], found, atol=0.1)
     assert np.abs(lattice.steps[:, 1]).max() < 0.1
     assert lattice.share.max() == pytest.approx(0.8)  # 8 of 10 have one to the right
-    asked = np.array([[3.2, 0.1], [1.5, 0], [0, 3.0]])
-    assert lattice.is_step(asked).tolist() == [True, False, False]
     sharp = np.tile(0.1**2 * np.eye(2), (3, 1, 1))
     step, between, across = lattice.density(np.array([[3.0, 0], [1.5, 0], [0, 3.0]]), sharp)
     assert step > 50 * between

@@ -48,17 +48,9 @@ def side_by_side(xy):
     return {(r, c): [(r + dr, c + dc) for dr, dc in steps if (r + dr, c + dc) in xy] for r, c in xy}
 
 
-def aisles(count, length=40.0, spacing=3.0, aslant=0.0):
-    """Rows of one length, joined at both ends: every one looks like the next.
-
-    aslant: (count,) [rad] how far each is turned.
-    """
-    off = length * np.broadcast_to(aslant, count)
-    xy = {
-        (r, c): np.array([spacing * c + r * off[c], length * r])
-        for r in (0, 1)
-        for c in range(count)
-    }
+def aisles(count, length=40.0, spacing=3.0):
+    """Rows of one length, joined at both ends: every one looks like the next."""
+    xy = {(r, c): np.array([spacing * c, length * r]) for r in (0, 1) for c in range(count)}
     return xy, side_by_side(xy)
 
 
@@ -69,13 +61,6 @@ def wander(beside, steps, rng):
         options = [v for v in beside[route[-1]] if len(route) < 2 or v != route[-2]]
         route.append(options[rng.integers(len(options))] if options else route[-2])
     return route
-
-
-def to_and_fro(count):
-    """A route up one aisle and down the next, then back along a cross way."""
-    route = [(k % 2, c) for c in range(count) for k in (c, c + 1)]
-    last = route[-1][0]
-    return route + [(last, c) for c in range(count - 2, -1, -1)]
 
 
 def record(world, route, rng=None, *, noise=NOISE, bias=0.0, unseen=(), breaks_before=()):

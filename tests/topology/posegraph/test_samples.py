@@ -32,13 +32,3 @@ def test_covariances_are_the_exact_ones_to_what_a_sample_tells() -> None:
     scale = np.sqrt(np.einsum("kii,kjj->kij", want, want))
     assert np.abs((found - want) / scale).max() < 4 * np.sqrt(2 / count)
     assert np.array_equal(found, SampledMarginals.of(graph, solution, count).relative(a, b))
-
-
-def test_errors_of_the_edges_alone_may_be_stated() -> None:
-    graph = ring(12)
-    solution, sigma = solve(graph), np.tile([1 / 20, 1 / 20, 1 / 30], (12, 1))
-    a, b = np.array([0, 0, 3]), np.array([1, 6, 8])
-    usual = SampledMarginals.of(graph, solution, outliers=False)
-    half = usual.by_edges(0.5 * sigma)
-    np.testing.assert_allclose(half.relative(a, b), 0.25 * usual.relative(a, b), atol=1e-12)
-    np.testing.assert_allclose(half.edge_residual, 0.5 * usual.edge_residual, atol=1e-9)
