@@ -290,7 +290,7 @@ def test_scans_without_sensible_angles_are_counted(
 def test_times_that_are_missing_or_go_back(sensors: ModuleType, tmp_path: Path) -> None:
     stamps = [sensors.START_NS, sensors.START_NS + 10**9, sensors.START_NS - 10**12, 0]
     # Each too large to be decoded with others: together they would be put in order.
-    payloads = [sensors.scan(np.ones(20_000), t, angle_increment=0.0003) for t in stamps]
+    payloads = [sensors.scan(np.ones(1 << 16), t, angle_increment=0.0001) for t in stamps]
     found, batches = one(sensors, tmp_path, *payloads)
     assert sum(map(len, batches)) == 2
     told = " ".join(found.tally.warnings("/scan"))
