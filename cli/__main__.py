@@ -13,9 +13,8 @@ def start() -> None:
     imported."""
     _quiet()
     try:
-        from .process import end_by_signals, open_closed_streams
+        from .process import end_by_signals
 
-        open_closed_streams()
         end_by_signals()
         from .main import main
 

@@ -23,7 +23,6 @@ from .options import (
     ReadOptions,
     VerboseOption,
     argument,
-    by_settings,
     option,
     verb,
 )
@@ -34,9 +33,8 @@ from .workspace import Workspace
 if TYPE_CHECKING:  # what takes a second to load
     from .ingest_worker import IngestJob, IngestOutcome
 
-# A process takes about as long to start as reading this takes.
 WORTH_A_PROCESS_BYTES = 32_000_000
-WORTH_A_PROCESS_LOGS = 8
+"""A process takes about as long to start as reading this takes."""
 
 
 @verb
@@ -105,8 +103,7 @@ def ingest(
         finally:
             new = sorted(outcome.run for outcome in outcomes if outcome.status == "done")
             if new:
-                text = f"{counted(len(new), 'log')}: {listed(new)}"
-                note(place, "ingest", f"{text}{by_settings(place)}")
+                note(place, "ingest", f"{counted(len(new), 'log')}: {listed(new)}")
     if as_json:
         fields = ("run", "status", "text", "maps", "warnings")
         say_json([{name: getattr(o, name) for name in fields} for o in outcomes])
@@ -133,8 +130,6 @@ def _plan(
     ]
     if name is not None and len(logs) + len(planned) != 1:
         raise UsageError(f"--name goes with one log; found {len(logs) + len(planned)}")
-    # Of several ways to one log, the first counts.
-    logs = list({_at(log): log for log in reversed(logs)}.values())[::-1]
     names = dict.fromkeys(logs, name) if name is not None else {}
     names = names or run_names(logs, like.place, replace=like.force)
     used: dict[str, LogPath] = {}
@@ -152,14 +147,6 @@ def _plan(
     return planned
 
 
-def _at(log: LogPath) -> LogPath:
-    """The log's path with links resolved."""
-    try:
-        return log.resolve()
-    except (OSError, RuntimeError):  # links in a circle, of which reading will tell
-        return log
-
-
 def _run_all(
     planned: list[IngestJob | IngestOutcome], asked: int, outcomes: list[IngestOutcome]
 ) -> None:
@@ -171,28 +158,16 @@ def _run_all(
     outcomes += [entry for entry in planned if isinstance(entry, IngestOutcome)]
     for outcome in outcomes:
         _show(outcome)
-    sizes = {job.run: job_size(job) for job in jobs}
-    total = sum(sizes.values())
-    # Reading a log is half of the work, making its map the other half, also of those not read.
-    with progress("ingesting", 2 * total) as advance:
-        read = mapped = kept = finished = 0
-
-        def on_bytes(so_far: int) -> None:
-            nonlocal read
-            read = min(max(read, so_far, mapped), total)
-            told = f"{finished}/{len(jobs)} logs, {read / 1e6:,.0f} of {total / 1e6:,.0f} MB"
-            advance(mapped + read, told, kept=kept)
-
-        worth = max(total // WORTH_A_PROCESS_BYTES, len(jobs) // WORTH_A_PROCESS_LOGS)
-        workers = max(1, min(asked or os.cpu_count() or 1, asked or worth, len(jobs)))
-        with closing(outcomes_of(jobs, workers, on_bytes)) as known:
-            for outcome in known:
-                outcomes.append(outcome)
-                finished += 1
-                mapped += sizes[outcome.run]
-                kept += 2 * sizes[outcome.run] if outcome.status == "unchanged" else 0
-                on_bytes(0)
-                _show(outcome)
+    total = sum(map(job_size, jobs))
+    worth = min(os.cpu_count() or 1, total // WORTH_A_PROCESS_BYTES)
+    workers = max(1, min(asked or worth, len(jobs)))
+    with (
+        progress("ingesting", total, "bytes") as advance,
+        closing(outcomes_of(jobs, workers, advance)) as known,
+    ):
+        for outcome in known:
+            outcomes.append(outcome)
+            _show(outcome)
 
 
 def _show(outcome: IngestOutcome) -> None:

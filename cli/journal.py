@@ -14,19 +14,13 @@ from .options import Here, JsonOption, option, verb
 from .output import say, say_json, table, warn
 from .workspace import Workspace
 
-MOST_BYTES = 4 << 20
-"""Of a longer journal the older half is dropped: about 40,000 lines."""
-
 
 def note(place: Workspace, what: str, text: str) -> None:
     """Append a line; the caller holds the workspace's lock. A failure to write is only reported."""
     now = datetime.now(UTC).isoformat(timespec="seconds")
     line = json.dumps({"time": now, "what": what, "text": text}, ensure_ascii=True)
     try:
-        lines = [*_lines(place), line]
-        if sum(map(len, lines)) > MOST_BYTES:
-            lines = lines[len(lines) // 2 :]
-        write_text(place.history, "".join(f"{each}\n" for each in lines))
+        write_text(place.history, "".join(f"{each}\n" for each in [*_lines(place), line]))
     except (OSError, DataError) as error:
         warn(f"{place.history}: {error}; not noted")
 

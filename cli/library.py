@@ -114,7 +114,7 @@ def ingest(
     alone = isinstance(log, str | os.PathLike)
     named = [log] if isinstance(log, str | os.PathLike) else log
     given = [log_path(os.fspath(each), allow_scan=allow_scan) for each in named]
-    logs, missing, _ = logs_of(given, separate=separate)
+    logs, missing = logs_of(given, separate=separate)
     for _, error in missing:
         raise error
     if len(logs) > 1 and alone:

@@ -12,7 +12,6 @@ from __future__ import annotations
 import errno
 import json
 import os
-import re
 import shutil
 import sys
 import time
@@ -31,17 +30,6 @@ from ..topology.errors import DataError, UsageError
 WIDTH, NARROWEST, WIDEST = 79, 40, 120
 """Line width of sentences where no terminal tells its own, and its limits: longer lines are hard to
 read."""
-
-COLOURS = {
-    "merged": "green",
-    "joined through others": "green",
-    "ambiguous": "yellow",
-    "unrelated": "bright_black",
-    "kept out": "red",
-}
-"""Colours of verdicts on a terminal."""
-
-_VERDICT = re.compile(rf"(?<![\w./-])(?<!not )({'|'.join(COLOURS)})(?![\w./-])")
 
 LONGEST_LINE = 8000
 LONGEST_CELL = 200
@@ -93,16 +81,6 @@ def styled(text: str, **style: Any) -> str:
     return text if os.environ.get("NO_COLOR") else typer.style(text, **style)
 
 
-def painted(text: str) -> str:
-    """The printable text with its verdicts in colour."""
-    return _VERDICT.sub(lambda found: styled(found[0], fg=COLOURS[found[0]]), text)
-
-
-def is_terminal() -> bool:
-    """Whether the output is read on a terminal, not by a program or from a file."""
-    return sys.stdout.isatty()
-
-
 def width() -> int:
     """Width of lines: that of the terminal, within limits."""
     if not sys.stdout.isatty():
@@ -113,7 +91,7 @@ def width() -> int:
 def say(text: str = "") -> None:
     """Print a line of the result, unless --quiet."""
     if not _call.quiet:
-        _emit(painted(plain(text)))
+        _emit(plain(text))
 
 
 def say_folded(text: str, indent: str = "      ") -> None:
@@ -143,7 +121,7 @@ def detail(text: str) -> None:
 def tell(text: str) -> None:
     """Print what happens meanwhile, on standard error, unless --quiet."""
     if not _call.quiet:
-        _emit(painted(plain(text)), err=True)
+        _emit(plain(text), err=True)
 
 
 def begin(text: str) -> None:
@@ -225,11 +203,15 @@ def write_files(files: Mapping[Path, str | bytes]) -> None:
 
 
 class Advance(Protocol):
-    """Sets how much is done; words: in words, instead of counts; doing: what is done now; kept: how
-    much of that was done before, and says nothing of the speed."""
+    """Sets how much is done; words: in words, instead of counts; doing: what is done now."""
 
-    def __call__(self, done: int, words: str = "", doing: str = "", kept: int = 0) -> None:
+    def __call__(self, done: int, words: str = "", doing: str = "") -> None:
         """Show it."""
+
+
+def megabytes(size: float) -> str:
+    """A number of bytes in megabytes, without the unit."""
+    return f"{size / 1e6:,.1f}"
 
 
 def counting(advance: Callable[[int], object]) -> Callable[[int], None]:
@@ -252,7 +234,7 @@ def progress(label: str, total: int, unit: str = "") -> Iterator[Advance]:
     drawn with --quiet or without a terminal.
     """
     if _call.quiet or not sys.stderr.isatty():
-        yield lambda done, words="", doing="", kept=0: None
+        yield lambda done, words="", doing="": None
         return
     from rich.console import Console
     from rich.progress import (
@@ -271,17 +253,13 @@ def progress(label: str, total: int, unit: str = "") -> Iterator[Advance]:
     bar = Progress(*columns, console=Console(stderr=True), transient=True)
     task = bar.add_task(label, total=total or None, told="")
 
-    def advance(done: int, words: str = "", doing: str = "", kept: int = 0) -> None:
+    def advance(done: int, words: str = "", doing: str = "") -> None:
         known = words
         if unit == "bytes" and not known and not doing:
-            known = f"{done / 1e6:,.0f} of {total / 1e6:,.0f} MB"
+            known = f"{megabytes(done)} of {megabytes(total)} MB"
         elif unit and not known and not doing:
             known = f"{done:,} of {total:,} {unit}"
-        known += f", {kept:,} of them kept" if kept and known and not words else ""
-        # By the fresh work alone the time left is told.
-        most = total - kept if total > kept else None
-        doing = doing or label
-        bar.update(task, total=most, completed=done - kept, told=known, description=doing)
+        bar.update(task, completed=done, told=known, description=doing or label)
 
     with bar:
         _call.bar = bar

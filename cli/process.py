@@ -1,11 +1,10 @@
-"""The process as it was started: closed streams, signals that end it, lack of memory; and other
-processes beside it."""
+"""The process as it was started: signals that end it, lack of memory; and other processes beside
+it."""
 
 from __future__ import annotations
 
 import os
 import signal
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
@@ -16,17 +15,6 @@ if TYPE_CHECKING:
 
 ENDING = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
 """Signals that end the process as Ctrl-C does: what was begun is cleared away."""
-
-
-def open_closed_streams() -> None:
-    """Open standard streams that were closed (`2>&-`, daemons) on the null device, so that no file
-    that is opened later takes their place. To be called first: each gets the lowest free number,
-    which is its own."""
-    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
-        if getattr(sys, name) is None:
-            stream = open(os.devnull, mode, encoding="utf-8")  # noqa: SIM115  for good
-            os.set_inheritable(stream.fileno(), True)
-            setattr(sys, name, stream)
 
 
 def end_by_signals() -> None:
@@ -53,14 +41,14 @@ def lack_of_memory(error: Exception) -> str | None:
 
 @contextmanager
 def processes(
-    number: int, context: Any = None, begin: Callable[..., None] | None = None, *given: Any
+    number: int, begin: Callable[..., None] | None = None, *given: Any
 ) -> Iterator[Executor]:
     """A pool of processes, started as needed, which end when the block is left by an error or
     Ctrl-C, whatever they do. begin: called in each of them first, with the further arguments."""
     import multiprocessing
     from concurrent.futures import ProcessPoolExecutor
 
-    with ProcessPoolExecutor(number, context, _start_worker, (begin, given)) as pool:
+    with ProcessPoolExecutor(number, None, _start_worker, (begin, given)) as pool:
         try:
             yield pool
         except BaseException:
@@ -76,11 +64,8 @@ def _start_worker(begin: Callable[..., None] | None, given: tuple[Any, ...]) -> 
     import threading
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    # A process has the handlers of its parent or, from a server, what that blocks.
-    for number in ENDING:
+    for number in ENDING:  # a process has the handlers of its parent
         signal.signal(number, signal.SIG_DFL)
-    if hasattr(signal, "pthread_sigmask"):
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     if begin is not None:
         begin(*given)
@@ -94,29 +79,3 @@ def _end_with_parent() -> None:
     if parent is not None:
         parent.join()
         os._exit(1)
-
-
-def forking_server(*modules: str) -> Any:
-    """The context of processes that are forked from a server that has imported these modules once,
-    where available."""
-    import multiprocessing
-
-    if "forkserver" not in multiprocessing.get_all_start_methods():
-        return multiprocessing.get_context("spawn")
-    from multiprocessing import forkserver, resource_tracker
-
-    context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(list(modules))
-    # Signals to a terminal's or a service's processes reach the server as well, and would end it
-    # before its time. It begins with what is blocked here. Its tracker would unblock them again.
-    resource_tracker.ensure_running()
-    blocked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, *ENDING})
-    try:
-        forkserver.ensure_running()
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
-    # Until it has imported all, a signal would leave processes behind that nobody waits for.
-    ready = context.Process(target=int)
-    ready.start()
-    ready.join()
-    return context

@@ -18,7 +18,6 @@ from typing import Any, Literal
 from pydantic import Field
 
 from ..topology.map_schema import Model, validated
-from ..topology.wording import listed
 from .merged_schema import SiteName, is_site_name
 
 SITES_SCHEMA: Literal["topobatch.sites/1"] = "topobatch.sites/1"
@@ -57,9 +56,8 @@ def site_names(
     history: SiteHistory,
     origins: Mapping[str, Origin],
     taken: Collection[str] = (),
-) -> tuple[list[str], list[str]]:
-    """The name of every component, given as its runs, and sentences on the sites of the last merge
-    that became one or came apart.
+) -> list[str]:
+    """The name of every component, given as its runs.
 
     origins: of every run; taken: names that mean something else, which no new site gets. O(runs ·
     names given).
@@ -72,7 +70,7 @@ def site_names(
         own = runs if len(runs) == 1 else ()
         used = others.difference(own).union(sites, names)
         names.append(name or _new_name(runs, groups, origins, used))
-    return names, [*_unions(components, names, history), *_splits(components, names, history)]
+    return names
 
 
 def _kept_names(
@@ -110,7 +108,7 @@ def _new_name(
     run."""
     *_, oldest = _oldest(runs, origins)
     if len(runs) == 1:
-        options = [_as_site_name(oldest)]
+        options = [oldest]
     else:
         others = [run for run in origins if run not in runs]
         grouped = [run for group in groups if group is not runs for run in group]
@@ -119,18 +117,12 @@ def _new_name(
             *_shared_folder(runs, others, folders),
             *_shared_beginning(runs, others),
             *_shared_folder(runs, grouped, folders),
-            _as_site_name(f"site-{oldest}"),
+            f"site-{oldest}",
         ]
+    if not is_site_name(options[-1]):  # earlier versions had colons in names of runs
+        options[-1] = "site"
     numbered = (f"{options[-1]}-{n}" for n in range(2, len(taken) + 3))
     return next(name for name in (*options, *numbered) if name not in taken)
-
-
-def _as_site_name(run: str) -> str:
-    """The name of a run as a site can have it; earlier versions had colons in names of runs."""
-    name = re.sub(r"[/\\:]", "-", run).lstrip(".")
-    while not is_site_name(name) and name:
-        name = name[:-1]
-    return name or "site"
 
 
 OF_NO_PLACE = ("bag", "data", "log", "map", "mcap", "recording", "rosbag", "run")
@@ -163,40 +155,6 @@ def _beginning(sequences: Sequence[Sequence[str]]) -> list[str]:
     """What all of the sequences begin with."""
     columns = takewhile(lambda column: len(set(column)) == 1, zip(*sequences, strict=False))
     return [column[0] for column in columns]
-
-
-def _unions(
-    components: Sequence[Collection[str]], names: Sequence[str], history: SiteHistory
-) -> list[str]:
-    """A sentence for each component in which sites of the last merge became one."""
-    out = []
-    now = set(names)
-    for runs, name in zip(components, names, strict=True):
-        # A run that was alone, at a site called like it, is no site that became part of one.
-        sites = {history.before[run] for run in runs if history.before.get(run, run) != run}
-        gone = sorted(sites - now)
-        if len(sites) > 1 and gone:
-            out.append(f"{listed(sorted(sites))} are one site now: {name}")
-    return out
-
-
-def _splits(
-    components: Sequence[Collection[str]], names: Sequence[str], history: SiteHistory
-) -> list[str]:
-    """A sentence for each site of the last merge that came apart."""
-    parts: dict[str, list[tuple[str, list[str]]]] = {}
-    for runs, name in zip(components, names, strict=True):
-        was: dict[str, list[str]] = {}
-        for run in sorted(runs):
-            if run in history.before:
-                was.setdefault(history.before[run], []).append(run)
-        for site, own in was.items():
-            parts.setdefault(site, []).append((name, own))
-    return [
-        f"{site} came apart: " + "; ".join(f"{name} ({listed(own)})" for name, own in sorted(found))
-        for site, found in sorted(parts.items())
-        if len(found) > 1
-    ]
 
 
 class SiteEntry(Model):

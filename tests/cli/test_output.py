@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from topobatch.cli.output import painted, plain, progress, say, show, warn, write_files
+from topobatch.cli.output import plain, progress, say, show, warn, write_files
 from topobatch.topology.errors import DataError
 
 
@@ -43,18 +43,6 @@ def test_results_go_to_the_standard_output_beside_a_bar(monkeypatch, capsys):
     assert "run1: odd" in err
 
 
-def test_verdicts_are_coloured_on_a_terminal_unless_that_is_unwanted(monkeypatch):
-    monkeypatch.delenv("NO_COLOR", raising=False)
-    green = "\x1b[32mmerged\x1b[0m"
-    assert painted("a + b: merged: 7 bits, in merged.json") == (
-        f"a + b: {green}: 7 bits, in merged.json"
-    )
-    assert painted("not merged") == "not merged"
-    assert painted("remerged, ws/merged, nothing") == "remerged, ws/merged, nothing"
-    monkeypatch.setenv("NO_COLOR", "1")
-    assert painted("a + b: merged") == "a + b: merged"
-
-
 def test_where_nothing_can_be_written_another_file_is_asked_for(monkeypatch):
     def refuse(writes):
         raise OSError(errno.EROFS, os.strerror(errno.EROFS), str(next(iter(writes))))
@@ -62,21 +50,3 @@ def test_where_nothing_can_be_written_another_file_is_asked_for(monkeypatch):
     monkeypatch.setattr("topobatch.topology.files.write_together", refuse)
     with pytest.raises(DataError, match="Read-only file system; name another file"):
         write_files({Path("ro/page.html"): "text"})
-
-
-def test_a_bar_tells_the_speed_of_fresh_work(monkeypatch, capsys):
-    now = [0.0]
-    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
-    monkeypatch.setattr("rich.console.monotonic", lambda: now[0])
-    monkeypatch.setenv("COLUMNS", "120")
-    show()
-    with progress("matching", 190, "pairs") as advance:
-        for seconds in range(5):
-            now[0] = seconds
-            advance(96 + seconds, kept=96)
-    shown = capsys.readouterr().err
-    assert "100 of 190 pairs, 96 of them kept left: " in shown
-    assert "0:01:30" in shown
-    with progress("writing", 0):
-        now[0] += 20
-    assert "0:00:20" in capsys.readouterr().err
