@@ -11,7 +11,7 @@ from typing import Annotated
 from ..merge.locks import Lock, with_lock, without_lock
 from ..topology.document import write_map
 from ..topology.errors import UsageError
-from ..topology.files import write_atomically, write_json
+from ..topology.files import write_json
 from ..topology.wording import listed
 from ..viz.exports import ENDINGS
 from .ingest_record import PIECE
@@ -237,10 +237,9 @@ def _names(place: Workspace, old: str, new: str) -> dict[str, str]:
 def _rename(place: Workspace, old: str, new: str, names: dict[str, str]) -> None:
     """Move the files of a run; new ones are written before old ones are removed."""
     topomap = replace(place.read_map(old), run=new)
-    if place.map_rrd(old).is_file() and not place.map_rrd(old).is_symlink():
-        content = place.map_rrd(old).read_bytes()
-        write_atomically(place.map_rrd(new), lambda path: path.write_bytes(content))
     write_map(place.map_json(new), topomap)
+    if place.map_rrd(old).exists():
+        place.map_rrd(old).replace(place.map_rrd(new))
     record = place.ingested(old)
     if record.log is not None:  # by which the log is known to be this run
         runs, views = (

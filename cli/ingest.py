@@ -185,13 +185,7 @@ def _summarise(outcomes: list[IngestOutcome], place: Workspace) -> None:
     failed = sorted(outcome.run for outcome in outcomes if outcome.status == "failed")
     unchanged = sum(outcome.maps for outcome in outcomes if outcome.status == "unchanged")
     good = sum(outcome.maps for outcome in outcomes if outcome.status != "failed")
-    done = [outcome.size for outcome in outcomes if outcome.status == "done"]
     logs = counted(len(outcomes), "log")
-    if len(done) > 1:
-        length_m, junctions, corridors = map(sum, zip(*done, strict=True))
-        way = f", {length_m:,.0f} m" if length_m else ""
-        found = f"{counted(junctions, 'junction')}, {counted(corridors, 'corridor')}"
-        say(f"{counted(len(done), 'log')}{way} → {found}")
     if good:
         same = f" ({unchanged} unchanged)" if unchanged else ""
         told = f"{counted(good, 'map')} of {logs} in {place.maps}{same}"

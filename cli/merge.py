@@ -30,7 +30,6 @@ from .options import (
 )
 from .output import is_verbose, say, say_folded, say_json, show, warn
 from .paper_options import PaperOptions
-from .stale import contents
 from .workspace import MERGED, Workspace
 
 if TYPE_CHECKING:  # what takes a second to load
@@ -125,14 +124,13 @@ def merge(
         return
     with place.held():
         chosen = place.chosen_runs(runs or [], everything)
-        documents = contents(place, chosen)
         last = None if replace_last else _merged_before(place, chosen, everything)
         maps, broken = read_maps(place, chosen)
         before = {} if last is None else last.home
         if lost := before.keys() & set(broken):
             raise DataError(_leaves_out(place, before, lost, ", without a readable map"))
         last = last or last_merge(place)
-        result = made(place, maps, documents, how.settings(paper), last, where)
+        result = made(place, maps, how.settings(paper), last, where)
         runs_of = counted(sum(len(c.poses) for c in result.components), "run")
         note(place, "merge", f"{place.merge}: {runs_of}, {describe_pairs(result)}")
     _show(result, place)

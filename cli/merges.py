@@ -29,15 +29,13 @@ if TYPE_CHECKING:  # what takes a second to load
 def made(
     place: Workspace,
     maps: list[TopoMap],
-    documents: Mapping[str, str | None],
     settings: MergeSettings,
     last: MergeResult | None,
     where: MatchOptions = MatchOptions(),  # noqa: B008 - frozen
     new: Mapping[str, str] = MappingProxyType({}),
 ) -> MergeResult:
-    """Merge maps and write the files of the merge. documents: the `contents` of the runs, by which
-    later changes of maps are recognised; last: the merge whose sites keep their names; new: new
-    names of runs since then. The caller holds the workspace's lock."""
+    """Merge maps and write the files of the merge. last: the merge whose sites keep their names;
+    new: new names of runs since then. The caller holds the workspace's lock."""
     from ..merge.merging import merge_maps
     from ..viz.merged_recording import write_merged_recording  # which loads rerun
 
@@ -53,8 +51,7 @@ def made(
     sites = {} if last is None else last.sites
     before = {new.get(run, run): new.get(site, site) for run, site in sites.items()}
     result = _with_sites(place, result, maps, before)
-    merged = {run: documents[run] for run in runs}
-    result = replace(result, info={**result.info, "maps": merged})
+    result = replace(result, info={**result.info, "maps": contents(place, runs)})
     with progress("writing", 0):
         write_together(
             {
@@ -66,12 +63,14 @@ def made(
 
 
 def made_again(
-    place: Workspace, affected: Collection[str], new: Mapping[str, str | None] | None = None
+    place: Workspace,
+    affected: Collection[str],
+    new: Mapping[str, str] = MappingProxyType({}),
 ) -> None:
     """Repeat the merges that had one of the affected runs, each with the runs that still exist;
     new: new names of runs. The caller holds the workspace's lock."""
     for each in place.merges():
-        _repeat(each, affected, {run: name for run, name in (new or {}).items() if name})
+        _repeat(each, affected, new)
 
 
 def _repeat(place: Workspace, affected: Collection[str], new: Mapping[str, str]) -> None:
@@ -80,9 +79,7 @@ def _repeat(place: Workspace, affected: Collection[str], new: Mapping[str, str])
         last = place.read_result()
         settings = settings_of(place, last)
     except DocumentError as error:
-        how = f"topobatch merge … --output {place.merge} --replace"
-        how = place.call("merge", "--all") if place.merge == MERGED else how
-        warn(f"{error}; merge again: {how}")
+        warn(str(error))
         return
     if not last.home.keys() & set(affected):
         return
@@ -92,10 +89,8 @@ def _repeat(place: Workspace, affected: Collection[str], new: Mapping[str, str])
         place.merged_rrd.unlink(missing_ok=True)
         say(f"{place.merged_json}: removed; none of its runs is left")
         return
-    documents = contents(place, runs)
     maps, _ = read_maps(place, runs)
-    about = _about(settings, new, runs)
-    result = made(place, maps, documents, about, last, new=new)
+    result = made(place, maps, _about(settings, new, runs), last, new=new)
     name = "" if place.merge == MERGED else f", {place.merge}"
     say(f"merged again{name}: {counted(len(maps), 'run')}, {describe_pairs(result)}")
 

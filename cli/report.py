@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from importlib.metadata import version
-from itertools import chain
 from pathlib import Path
 from platform import python_version
 from typing import Annotated
 
 import typer
 
-from ..merge.change import Change
-from ..merge.changes import changes
+from ..merge.changes import all_changes
 from ..merge.decision import Decision
 from ..merge.drives import drives
 from ..merge.result import MergeResult, Standing
@@ -77,7 +75,7 @@ def report(
         merged = result if not notes else None
         home = {c.id: c.name for c in result.components} if result else {}
         decisions = _decisions(place, merged, maps, advance) if merged else {}
-        changed = _changes(merged, maps) if merged else []
+        changed = all_changes(merged, maps) if merged else []
         for pair, one in decisions.items():
             between = [told for told in changed if told.sure and told.differs_for(*pair)]
             words = [told.words(home[told.component])[0] for told in between]
@@ -111,13 +109,6 @@ def report(
         say(f"not merged yet: {place.call('merge', '--all')}")
     if errors:
         raise typer.Exit(1)
-
-
-def _changes(result: MergeResult, maps: Mapping[str, TopoMap]) -> list[Change]:
-    """What changed between the runs of every site."""
-    several = (c for c in result.components if len(c.poses) > 1)
-    found = (changes(result, c.id, {run: maps[run] for run in c.poses}) for c in several)
-    return list(chain.from_iterable(found))
 
 
 def _decisions(

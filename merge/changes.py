@@ -21,6 +21,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -82,6 +83,13 @@ def changes(result: MergeResult, component: int, maps: Mapping[str, TopoMap]) ->
         for change in doubtful
     ]
     return tuple(sorted(found, key=lambda c: (-c.bits, c.thing, c.junctions)))
+
+
+def all_changes(result: MergeResult, maps: Mapping[str, TopoMap]) -> list[Change]:
+    """Changes between the runs of every component, as of `changes`."""
+    several = (c for c in result.components if len(c.poses) > 1)
+    found = (changes(result, c.id, {run: maps[run] for run in c.poses}) for c in several)
+    return list(chain.from_iterable(found))
 
 
 def last_found(

@@ -58,16 +58,13 @@ class DriveSettings:
     beyond: float = 2.0
     """Corridors driven beyond a branch never driven for every junction that merging needs: other
     sites do not begin at once behind the last junction known. Of 13 such drives 8 join a site, with
-    1.0 it is 5."""
+    1.0 it is 5. Known corridors up to twice as far straight on count as in its way."""
     least_bits: float = 1.0
     """Evidence that a drive is expected to bring at least: less does not even make a match twice as
     likely."""
     most_planned: int = 30
-    """Pairs of sites, those with the likeliest placements, and sites, those of most runs, for which
-    a drive is planned: each takes some 50 ms, and few are listed."""
-    straight_corridors: float = 4.0
-    """How far along a branch never driven known corridors count as in its way, in median
-    corridors: what lies behind them is mostly known."""
+    """Pairs of sites, those with the likeliest placements, for which a drive is planned: each takes
+    some 50 ms, and few are listed."""
 
 
 DRIVES = DriveSettings()
@@ -77,8 +74,8 @@ def drives(result: MergeResult, most: int = 5, component: int | None = None) -> 
     """The best `most` drives, by decreasing expected bits per metre; component: only those that
     begin at it or join it.
 
-    One for every two sites with an open pair, and one into the unknown for every site, of either
-    `most_planned`. O(pairs + junctions) for each of them.
+    One for every two sites with an open pair, `most_planned` of these, and one into the unknown for
+    every site. O(pairs + junctions) for each of them.
     """
     components, junction = {c.id: c for c in result.components}, ~result.fused.is_turned
     site = cache(lambda k: _Site(result.fused, components[k], junction))
@@ -396,23 +393,17 @@ def _exploring(result: MergeResult, site_of: SiteOf, wanted: Collection[int]) ->
     known."""
     share = _overlapping_share(result)
     need = _needed_junctions(result, MATCH.junction_bits)
-    free = ~driven_branches(result.fused)
-    owner, heading = result.fused.branches.owner, result.fused.branches.values
     pairs = _placed(result)
-    order = sorted((-len(c.poses), c.id) for c in result.components if c.id in wanted)
-    for site in (site_of(c) for _, c in order[: DRIVES.most_planned]):
-        rows = np.flatnonzero(free & np.isin(owner, site.ids))
-        known = pairs[site.component]
-        if not len(rows) or not site.ways or not _tells_copies(known):
-            continue
-        corridors = np.concatenate([path for _, path in site.ways.values()])
-        ways_m = DRIVES.straight_corridors * site.usual_m
-        at = result.fused.xy[owner[rows]]
-        open_ = _unobstructed(at, heading[rows], ways_m, corridors, site.usual_m / 2)
-        k = int(open_.argmax())
-        bits = share * _per_junction(known) * need * float(open_[k])
-        place, towards = site.row[int(owner[rows[k]])], float(heading[rows[k]])
-        yield _exploring_drive(site, place, towards, need, bits)
+    branches: dict[str, list[Undriven]] = {}
+    for branch in never_driven(result) if wanted else ():
+        branches.setdefault(branch.site, []).append(branch)
+    for site in map(site_of, sorted(wanted)):
+        known, free = pairs[site.component], branches.get(site.name)
+        if free and site.ways and _tells_copies(known):
+            open_ = _unobstructed(free, site)
+            k = int(open_.argmax())
+            bits = share * _per_junction(known) * need * float(open_[k])
+            yield _exploring_drive(site, free[k], need, bits)
 
 
 def _overlapping_share(result: MergeResult) -> float:
@@ -425,24 +416,27 @@ def _overlapping_share(result: MergeResult) -> float:
     return (open_ + 1) / (across + 2) if across else 0.0
 
 
-def _unobstructed(
-    at: FloatArray, heading: FloatArray, far_m: float, known: FloatArray, near_m: float
-) -> FloatArray:
-    """(k,) share of the way straight on from each branch that has no known corridor near."""
+def _unobstructed(branches: Sequence[Undriven], site: _Site) -> FloatArray:
+    """(k,) share of the way straight on from each branch, from one corridor of usual length on,
+    that has no known corridor near."""
     from scipy.spatial import cKDTree
 
-    steps = np.arange(2 * near_m, far_m + near_m, near_m)
+    near_m = site.usual_m / 2
+    steps = near_m * np.arange(2, 4 * DRIVES.beyond + 1)
+    heading = np.array([b.heading_rad for b in branches])
     ray = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
-    points = at[:, None] + steps[None, :, None] * ray[:, None]
-    away, _ = cKDTree(known).query(points.reshape(-1, 2))
-    free: FloatArray = np.asarray(away > near_m).reshape(len(at), -1).mean(axis=1)
+    points = np.stack([b.xy for b in branches])[:, None] + steps[None, :, None] * ray[:, None]
+    corridors = np.concatenate([path for _, path in site.ways.values()])
+    away, _ = cKDTree(corridors).query(points.reshape(-1, 2))
+    free: FloatArray = np.asarray(away > near_m).reshape(len(branches), -1).mean(axis=1)
     return free
 
 
-def _exploring_drive(site: _Site, place: int, heading: float, need: int, bits: float) -> Drive:
-    """The drive that leaves a site by a branch that nobody drove, at the row `place` and in the
-    direction `heading` [rad]: by up to `need` known junctions to it, so that the new log can be
-    merged, then on for `DRIVES.beyond` corridors for each, of which the path shows the first."""
+def _exploring_drive(site: _Site, branch: Undriven, need: int, bits: float) -> Drive:
+    """The drive that leaves a site by a branch that nobody drove: by up to `need` known junctions
+    to it, so that the new log can be merged, then on for `DRIVES.beyond` corridors for each, of
+    which the path shows the first."""
+    place, heading = site.row[branch.junction], branch.heading_rad
     ground = _Ground(site)
     places, known_m = _tour(ground.reach(ground.in_site), place, {place}, need - 1)
     end = site.xy[place] + site.usual_m * np.array([np.cos(heading), np.sin(heading)])
