@@ -14,7 +14,6 @@ from ..merge.component_map import component_map, component_pose_graph, stale_run
 from ..merge.result import Component, MergeResult
 from ..topology.errors import DataError, UsageError
 from ..topology.map_pose_graph import map_pose_graph
-from ..topology.odometry import Odometry
 from ..topology.topomap import TopoMap
 from ..topology.wording import counted, listed
 from ..viz.exports import corrected_tum, map_texts, pose_graph_g2o, recorded_tum
@@ -238,7 +237,8 @@ def _trajectories(place: Workspace, source: Exported, log: Path | None) -> dict[
             if source.component is not None:
                 warn(f"{run}: is the map of a grid, which nobody drove: no trajectory")
             continue
-        odometry = _odometry(place, topomap, log)
+        at = log_of(place, run, log)
+        odometry = read_run(at, place.ingested(run).settings()).odometry
         corrected = corrected_tum(topomap, odometry, poses.get(run))
         if corrected is None:
             raise DataError(
@@ -248,12 +248,6 @@ def _trajectories(place: Workspace, source: Exported, log: Path | None) -> dict[
         out[f"{stem}.recorded.tum"] = recorded_tum(odometry)
         out[f"{stem}.corrected.tum"] = corrected
     return out
-
-
-def _odometry(place: Workspace, topomap: TopoMap, log: Path | None) -> Odometry:
-    """A run's odometry from its log, with the recorded settings of its ingest, if any."""
-    at = log_of(place, topomap.run, log)
-    return read_run(at, place.ingested(topomap.run).settings()).odometry
 
 
 def _path(

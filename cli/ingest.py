@@ -130,6 +130,8 @@ def _plan(
     ]
     if name is not None and len(logs) + len(planned) != 1:
         raise UsageError(f"--name goes with one log; found {len(logs) + len(planned)}")
+    # Of several ways to one log, the first counts.
+    logs = list({_at(log): log for log in reversed(logs)}.values())[::-1]
     names = dict.fromkeys(logs, name) if name is not None else {}
     names = names or run_names(logs, like.place, replace=like.force)
     used: dict[str, LogPath] = {}
@@ -145,6 +147,14 @@ def _plan(
         used[run] = log
         planned.append(replace(like, log=log, run=run))
     return planned
+
+
+def _at(log: LogPath) -> LogPath:
+    """The log's path with links resolved."""
+    try:
+        return log.resolve()
+    except (OSError, RuntimeError):  # links in a circle, of which reading will tell
+        return log
 
 
 def _run_all(

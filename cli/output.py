@@ -27,9 +27,8 @@ import typer
 
 from ..topology.errors import DataError, UsageError
 
-WIDTH, NARROWEST, WIDEST = 79, 40, 120
-"""Line width of sentences where no terminal tells its own, and its limits: longer lines are hard to
-read."""
+WIDTH = 79
+"""Line width of sentences where no terminal tells its own."""
 
 LONGEST_LINE = 8000
 LONGEST_CELL = 200
@@ -82,10 +81,8 @@ def styled(text: str, **style: Any) -> str:
 
 
 def width() -> int:
-    """Width of lines: that of the terminal, within limits."""
-    if not sys.stdout.isatty():
-        return WIDTH
-    return min(max(shutil.get_terminal_size((WIDTH + 1, 24)).columns - 1, NARROWEST), WIDEST)
+    """Width of lines: that of the terminal."""
+    return shutil.get_terminal_size().columns - 1 if sys.stdout.isatty() else WIDTH
 
 
 def say(text: str = "") -> None:

@@ -4,10 +4,10 @@ apart."""
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 from ..ingest.logs.recording import METADATA
 from ..ingest.reading import find_logs, log_exists, log_fingerprint, run_name, with_parts_joined
@@ -15,6 +15,8 @@ from ..ingest.remote.path import LogPath, RemotePath, log_path
 from ..topology.errors import LogError, TopobatchError
 from .ingest_record import IngestRecord, origin
 from .workspace import Workspace
+
+T = TypeVar("T")
 
 PACKED = {".gz": "gzip", ".zip": "zip", ".bz2": "bzip2", ".xz": "xz", ".7z": "7-Zip"}
 """Archives by their suffix; zstd, which rosbag2 writes, is read directly."""
@@ -89,10 +91,8 @@ def run_names(
     records = {} if place is None else place.ingest_records()
     names = _kept(where, records)
     others = {run: r for run, r in records.items() if not replace and run not in names.values()}
-    logs_before = [log for log in map(_log_of, others.values()) if log is not None]
-    known = {*where.values(), *map(_location, logs_before)}
+    known = {*where.values(), *_of_logs(others, _location).values()}
     beside = Counter((at.base, at.folders) for at in known)
-
     shared = Counter(
         (base, *folders[:depth]) for base, folders in beside for depth in range(len(folders) + 1)
     )
@@ -126,11 +126,14 @@ def _location(log: LogPath) -> _Location:
     return _Location(run_name(log), file, tuple(reversed(folders)))
 
 
-def _log_of(record: IngestRecord) -> LogPath | None:
-    """The log of a record, None if it states none."""
-    with suppress(TopobatchError, OSError, ValueError):  # nothing of ours wrote that
-        return None if record.log is None else log_path(record.log)
-    return None
+def _of_logs(records: Mapping[str, IngestRecord], tell: Callable[[LogPath], T]) -> dict[str, T]:
+    """What a function tells of the logs of records, by run, where these state any."""
+    out: dict[str, T] = {}
+    for run, record in records.items():
+        if record.log is not None:
+            with suppress(TopobatchError, OSError, ValueError, RuntimeError):  # none of ours
+                out[run] = tell(log_path(record.log))
+    return out
 
 
 def _kept(logs: Iterable[LogPath], records: Mapping[str, IngestRecord]) -> dict[LogPath, str]:
@@ -142,12 +145,11 @@ def _kept(logs: Iterable[LogPath], records: Mapping[str, IngestRecord]) -> dict[
         with suppress(OSError, RuntimeError):  # links in a circle: reading the log will say so
             if (named := origin(log)) in by_log:
                 kept[log] = by_log[named]
+    missing = _of_logs(records, lambda log: isinstance(log, Path) and not log_exists(log))
     gone = {
-        record.content: run
-        for run, record in records.items()
-        if run not in kept.values()
-        and isinstance(before := _log_of(record), Path)
-        and not log_exists(before)
+        records[run].content: run
+        for run, is_missing in missing.items()
+        if is_missing and run not in kept.values()
     }
     for log in logs:
         if gone and log not in kept:

@@ -18,7 +18,7 @@ import numpy as np
 import typer
 
 from ..merge.component_map import component_map
-from ..merge.result import MergeResult, home_of
+from ..merge.result import home_of
 from ..merge.transfer import (
     WITHIN_SIGMAS,
     MatchedJunctions,
@@ -147,7 +147,9 @@ def _matched(place: Workspace, source: str, target: str) -> tuple[MatchedJunctio
     if to_site and target in names.values() and target != names[source]:
         return None, f"{source} is of the site {names[source]}, not of {target}"
     if len({home[run] for run in named}) > 1:
-        return None, f"{source} and {target} are not merged: {_verdict(result, source, target)}"
+        found = (v for v in result.verdicts if {v.a, v.b} == {source, target})
+        why = next((f": {v.verdict}, {v.reason}" for v in found), "")
+        return None, f"{source} and {target} are not merged{why}"
     maps = place.maps_as_merged(result, home[source], named)
     if len(named) == 2:
         matched = junctions_of_runs(result, maps, source, target)
@@ -160,11 +162,6 @@ def _matched(place: Workspace, source: str, target: str) -> tuple[MatchedJunctio
         site = "" if to_site else f"; --to {shlex.quote(names[source])} carries to the map of both"
         return None, f"{why}{site}"
     return matched, ""
-
-
-def _verdict(result: MergeResult, a: str, b: str) -> str:
-    found = (v for v in result.verdicts if {v.a, v.b} == {a, b})
-    return next((f"{v.verdict}, {v.reason}" for v in found), "nothing is said of them")
 
 
 @dataclass(frozen=True, slots=True)

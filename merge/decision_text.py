@@ -312,8 +312,7 @@ def lines(decision: Decision, links: int | None = None, width: int = WIDTH) -> l
     elif len(decision.placements) > 1:
         second = f"the {other_name(decision)} lays it at {_pose(poses[1])}"
         out += _folded(second, width, "  ")
-    table = _table(decision, MOST_LINKS if links is None else links, width)
-    out += [_line(*row, width) for row in table]
+    out += _table(decision, MOST_LINKS if links is None else links, width)
     if decision.placements:
         pairs = f"{short(pair.a)} = {short(pair.b)}: {matched(decision.placements[0])}"
         out += _folded(pairs, width, "  ")
@@ -335,38 +334,27 @@ def _folded(text: str, width: int, indent: str = "") -> list[str]:
     )
 
 
-_Line = tuple[Sequence[str], str, tuple[str, str]]
-"""A line of the table: numbers, text, and the junctions of both runs."""
+def _table(decision: Decision, links: int, width: int) -> list[str]:
+    """The table of evidence, its sum and the requirements; the junctions of both on the right."""
+    digits, count, pair = digits_of(decision), len(decision.placements), decision.pair
 
-NO_ENDS = ("", "")
+    def line(cells: Sequence[str], text: str, a: str = "", b: str = "") -> str:
+        left = "".join(f"{cell:>8}" for cell in [*cells, *[""] * (count - len(cells))]) + "  "
+        right = f" {a:>10} {b:>10}" if a or b else ""
+        return f"{left}{text:<{width - len(left) - len(right)}}{right}".rstrip()
 
-
-def _table(decision: Decision, links: int, width: int) -> list[_Line]:
-    """The table of evidence, its sum and the requirements."""
-    digits, count = digits_of(decision), len(decision.placements)
     if not count:
-        return [([_threshold(decision)], f"bits needed: {needs(decision)}", NO_ENDS)]
-    names = (short(decision.pair.a, 10), short(decision.pair.b, 10))
+        return [line([_threshold(decision)], f"bits needed: {needs(decision)}")]
     head = ["this", "next"][:count] if count > 1 else ["bits"]
-    out: list[_Line] = [([], "", NO_ENDS), (head, "for (+) and against it (-)", names)]
+    names = (short(pair.a, 10), short(pair.b, 10))
+    out = ["", line(head, "for (+) and against it (-)", *names)]
     for row in rows(decision, links):
         cells = ["" if bits is None else f"{bits:+z.{digits}f}" for bits in row.bits]
         text = row.text
         if row.level:  # a part of the sum above: its bits stand out of the column that adds up
-            text, cells = f"{cells[0]:>7}  {text}", [""]
-        cells += [""] * (count - len(cells))
-        out.append((cells, text, (row.a, row.b)))
+            text, cells = f"{cells[0]:>7}  {text}", []
+        out.append(line(cells, text, row.a, row.b))
     sums = [f"= {shown_bits(p.alignment.evidence_bits, digits)}" for p in decision.placements]
-    out.append((sums, sum_label(decision), NO_ENDS))
-    blank = [""] * (count - 1)
-    need = wrap(f"needed: {needs(decision)}", width - 8 * count - 2, subsequent_indent="  ")
-    out.append(([_threshold(decision), *blank], need[0], NO_ENDS))
-    return [*out, *(([""] * count, line, NO_ENDS) for line in need[1:])]
-
-
-def _line(cells: Sequence[str], text: str, ends: tuple[str, str], width: int) -> str:
-    """A line of the table with the junctions on the right."""
-    left = "".join(f"{cell:>8}" for cell in cells) + "  "
-    right = f" {ends[0]:>10} {ends[1]:>10}" if any(ends) else ""
-    room = width - len(left) - len(right)
-    return f"{left}{text:<{room}}{right}".rstrip()
+    out.append(line(sums, sum_label(decision)))
+    first, *more = wrap(f"needed: {needs(decision)}", width - 8 * count - 2, subsequent_indent="  ")
+    return [*out, line([_threshold(decision)], first), *(line([], each) for each in more)]
