@@ -31,8 +31,7 @@ WIDTH = 79
 """Line width of sentences where no terminal tells its own."""
 
 LONGEST_LINE = 8000
-LONGEST_CELL = 200
-"""Characters; names can have millions, and a table's cells pad every row."""
+"""Characters; names can have millions."""
 
 
 @dataclass(slots=True)
@@ -168,7 +167,7 @@ def say_text(text: str) -> None:
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]], indent: str = "  ") -> list[str]:
     """Lines of a table with left-aligned columns."""
-    shown = [[plain(cell, LONGEST_CELL) for cell in row] for row in [header, *rows]]
+    shown = [[plain(cell) for cell in row] for row in [header, *rows]]
     widths = [max(len(row[i]) for row in shown) for i in range(len(header))]
     return [
         (indent + "  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True))).rstrip()

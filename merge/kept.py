@@ -162,14 +162,11 @@ class Kept:
         if self._database is not None:
             self._database.close()
         self._database = None
-        try:
-            if isinstance(error, OSError | sqlite3.OperationalError):  # locked, read-only, no space
-                raise error
-            if self.path is not None:
-                self.path.unlink(missing_ok=True)
-        except (OSError, sqlite3.Error) as why:
-            self._say(f"{self.path}: results are not kept: {why}")
+        if isinstance(error, OSError | sqlite3.OperationalError):  # locked, read-only, no space
+            self._say(f"{self.path}: results are not kept: {error}")
             self.path = None
+        elif self.path is not None:
+            self.path.unlink(missing_ok=True)
 
 
 DIGEST = 16
