@@ -12,8 +12,8 @@ A junction of three that lost a branch may be detected no more, for instance by 
 a straight corridor there. A run that drove through it undetected, and along all its corridors but
 one, is missing that corridor: one change, not one for each of its ends.
 
-Nothing is missing for a run that knows another junction beside it, or that drove another corridor
-along all of it: fused maps show some places twice.
+Nothing is missing for a run that knows another junction beside it: fused maps show some places
+twice.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from scipy.spatial import cKDTree
 from ..topology.arrays import FloatArray, IntArray
 from ..topology.digits import METRES, rounded
 from ..topology.matching.structure import padded_branches
-from ..topology.polyline import Ways, leaving_rad, way_of
+from ..topology.polyline import leaving_rad, way_of
 from ..topology.se2 import wrap
 from ..topology.topomap import TopoMap
 from .change import Change, ChangeKind, Witness
@@ -49,8 +49,7 @@ class ChangeSettings:
     show less."""
     beside_m: float = 1.5
     """Junctions no farther apart, or than the position of one is uncertain (1 sigma), may be one
-    place; corridors of which one lies so near the other everywhere may be one corridor. Doublets of
-    fused maps are about 1 m apart; a corridor and its walls have 1.5 m."""
+    place. Doublets of fused maps are about 1 m apart; a corridor and its walls have 1.5 m."""
 
 
 CHANGES = ChangeSettings()
@@ -125,7 +124,6 @@ class _Seen:
         self._fused = padded_branches(merged)
         self._turn = {run: float(poses[run][2]) for run in maps}
         self._near = _neighbours(merged)
-        self._driven: dict[str, Ways] = {}
         self._at: list[list[int]] = [[] for _ in self.nodes]
         for e, ends in enumerate(zip(merged.source.tolist(), merged.target.tolist(), strict=True)):
             for node in {*ends}:
@@ -138,14 +136,6 @@ class _Seen:
     def is_double(self, edge: int) -> bool:
         """Whether a fused edge joins two vertices that may be one place."""
         return int(self.merged.target[edge]) in self._near[int(self.merged.source[edge])]
-
-    def drove_along(self, run: str, edge: int) -> bool:
-        """Whether a run's corridors lie beside all of a fused edge."""
-        if run not in self._driven:
-            own = [k for k, members in enumerate(self.edges) if run in members]
-            self._driven[run] = Ways([self.merged.paths[k] for k in own], STEP_M)
-        away = self._driven[run].away(self.merged.paths[edge])
-        return bool(away.max() <= CHANGES.beside_m)
 
     def times(self, run: str, node: int) -> IntArray:
         """Times [ns] at which a run passed the place of a fused vertex."""
@@ -210,10 +200,6 @@ def _neighbours(merged: TopoMap) -> list[list[int]]:
     return [sorted(near) for near in found]
 
 
-STEP_M = CHANGES.beside_m / 3
-"""Spacing of the points by which corridors are compared."""
-
-
 def _fault_rate(rate: float) -> float:
     """A rate of faults as measured, between `least_fault_rate` and one half."""
     return min(max(rate, CHANGES.least_fault_rate), 0.5)
@@ -239,8 +225,6 @@ def _corridors(seen: _Seen) -> tuple[list[Change], int, set[tuple[int, str]]]:
                 continue
             asked += 1
             if any(seen.saw(run, ends[k], headings[k]) for k in passed):
-                continue
-            if seen.drove_along(run, e):
                 continue
             explained |= {(node, run) for node in through}
             missing.append(_missed(seen, run, {ends[k] for k in passed}, through))
