@@ -13,8 +13,9 @@ def start() -> None:
     imported."""
     _quiet()
     try:
-        from .process import end_by_signals
+        from .process import end_by_signals, open_closed_streams
 
+        open_closed_streams()
         end_by_signals()
         from .main import main
 

@@ -1,10 +1,11 @@
-"""The process as it was started: signals that end it, lack of memory; and other processes beside
-it."""
+"""The process as it was started: closed streams, signals that end it, lack of memory; and other
+processes beside it."""
 
 from __future__ import annotations
 
 import os
 import signal
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
@@ -15,6 +16,17 @@ if TYPE_CHECKING:
 
 ENDING = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
 """Signals that end the process as Ctrl-C does: what was begun is cleared away."""
+
+
+def open_closed_streams() -> None:
+    """Open standard streams that were closed (`2>&-`, daemons) on the null device, so that no file
+    that is opened later takes their place. To be called first: each gets the lowest free number,
+    which is its own."""
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            stream = open(os.devnull, mode, encoding="utf-8")  # noqa: SIM115  for good
+            os.set_inheritable(stream.fileno(), True)
+            setattr(sys, name, stream)
 
 
 def end_by_signals() -> None:

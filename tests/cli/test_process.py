@@ -1,4 +1,4 @@
-"""Signals that end the process."""
+"""The process as it was started: closed streams, broken pipes, signals."""
 
 from __future__ import annotations
 
@@ -12,6 +12,28 @@ import time
 import pytest
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="limits and signals of Linux")
+
+
+def shell(line: str, *arguments: object) -> subprocess.CompletedProcess[str]:
+    """A line of sh, in which "$@" is topobatch with these arguments."""
+    command = ["sh", "-c", line, "sh", sys.executable, "-m", "topobatch.cli", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+
+
+def test_closed_streams_are_no_error(logs, tmp_path):
+    """As daemons are started. What is written there is lost, and goes into no file."""
+    call = ("ingest", logs["mcap"], tmp_path / "none.bag", "-w", tmp_path / "ws")
+    done = shell('"$@" <&- >&- 2>&-', *call)
+    assert (done.returncode, done.stdout, done.stderr) == (1, "", "")
+    assert (tmp_path / "ws" / "maps" / "run1.json").is_file()
+    assert not any(
+        b"no such file" in path.read_bytes() for path in tmp_path.rglob("*.*") if path.is_file()
+    )
+
+
+def test_a_reader_who_has_enough_is_no_error():
+    done = shell('"$@" | head -1', "schema", "map")
+    assert (done.stdout, done.stderr) == ("{\n", "")
 
 
 def test_signals_end_it_quietly(logs, tmp_path):
