@@ -12,6 +12,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import re
 import shutil
 import sys
 import time
@@ -29,6 +30,17 @@ from ..topology.errors import DataError, UsageError
 
 WIDTH = 79
 """Line width of sentences where no terminal tells its own."""
+
+COLOURS = {
+    "merged": "green",
+    "joined through others": "green",
+    "ambiguous": "yellow",
+    "unrelated": "bright_black",
+    "kept out": "red",
+}
+"""Colours of verdicts on a terminal."""
+
+_VERDICT = re.compile(rf"(?<![\w./-])(?<!not )({'|'.join(COLOURS)})(?![\w./-])")
 
 LONGEST_LINE = 8000
 """Characters; names can have millions."""
@@ -79,6 +91,11 @@ def styled(text: str, **style: Any) -> str:
     return text if os.environ.get("NO_COLOR") else typer.style(text, **style)
 
 
+def painted(text: str) -> str:
+    """The printable text with its verdicts in colour."""
+    return _VERDICT.sub(lambda found: styled(found[0], fg=COLOURS[found[0]]), text)
+
+
 def width() -> int:
     """Width of lines: that of the terminal."""
     return shutil.get_terminal_size().columns - 1 if sys.stdout.isatty() else WIDTH
@@ -87,7 +104,7 @@ def width() -> int:
 def say(text: str = "") -> None:
     """Print a line of the result, unless --quiet."""
     if not _call.quiet:
-        _emit(plain(text))
+        _emit(painted(plain(text)))
 
 
 def say_folded(text: str, indent: str = "      ") -> None:
@@ -117,7 +134,7 @@ def detail(text: str) -> None:
 def tell(text: str) -> None:
     """Print what happens meanwhile, on standard error, unless --quiet."""
     if not _call.quiet:
-        _emit(plain(text), err=True)
+        _emit(painted(plain(text)), err=True)
 
 
 def begin(text: str) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from topobatch.cli.output import plain, progress, say, show, warn, write_files
+from topobatch.cli.output import painted, plain, progress, say, show, warn, write_files
 from topobatch.topology.errors import DataError
 
 
@@ -41,6 +41,18 @@ def test_results_go_to_the_standard_output_beside_a_bar(monkeypatch, capsys):
     out, err = capsys.readouterr()
     assert out == "run1: done\n"
     assert "run1: odd" in err
+
+
+def test_verdicts_are_coloured_on_a_terminal_unless_that_is_unwanted(monkeypatch):
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    green = "\x1b[32mmerged\x1b[0m"
+    assert painted("a + b: merged: 7 bits, in merged.json") == (
+        f"a + b: {green}: 7 bits, in merged.json"
+    )
+    assert painted("not merged") == "not merged"
+    assert painted("remerged, ws/merged, nothing") == "remerged, ws/merged, nothing"
+    monkeypatch.setenv("NO_COLOR", "1")
+    assert painted("a + b: merged") == "a + b: merged"
 
 
 def test_where_nothing_can_be_written_another_file_is_asked_for(monkeypatch):
