@@ -23,6 +23,7 @@ from .options import (
     ReadOptions,
     VerboseOption,
     argument,
+    by_settings,
     option,
     verb,
 )
@@ -103,7 +104,8 @@ def ingest(
         finally:
             new = sorted(outcome.run for outcome in outcomes if outcome.status == "done")
             if new:
-                note(place, "ingest", f"{counted(len(new), 'log')}: {listed(new)}")
+                text = f"{counted(len(new), 'log')}: {listed(new)}"
+                note(place, "ingest", f"{text}{by_settings(place)}")
     if as_json:
         fields = ("run", "status", "text", "maps", "warnings")
         say_json([{name: getattr(o, name) for name in fields} for o in outcomes])

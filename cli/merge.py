@@ -24,6 +24,7 @@ from .options import (
     QuietOption,
     VerboseOption,
     argument,
+    by_settings,
     complete_run,
     option,
     verb,
@@ -132,7 +133,8 @@ def merge(
         last = last or last_merge(place)
         result = made(place, maps, how.settings(paper), last, where)
         runs_of = counted(sum(len(c.poses) for c in result.components), "run")
-        note(place, "merge", f"{place.merge}: {runs_of}, {describe_pairs(result)}")
+        told = f"{place.merge}: {runs_of}, {describe_pairs(result)}"
+        note(place, "merge", f"{told}{by_settings(place)}")
     _show(result, place)
     if as_json:
         say_json(_told(place, result))

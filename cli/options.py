@@ -357,6 +357,12 @@ def settings_text(settings: Mapping[str, Any]) -> str:
     return "".join(f"{_option(name)} = {text}\n" for name, text in texts.items())
 
 
+def by_settings(place: Workspace) -> str:
+    """What follows the line of a call in the journal: the settings that it could take."""
+    told = told_settings(settings_of(place))
+    return f"; {place.settings_toml.name}: {told}" if told else ""
+
+
 def told_settings(settings: Mapping[str, Any]) -> str:
     """The settings in one line; "" without any."""
     return ", ".join(f"{_option(name)} = {value}" for name, value in settings.items())

@@ -33,6 +33,7 @@ def test_calls_need_not_repeat_what_was_said_once(topobatch, logs, tmp_path) -> 
     )
     texts = [e["text"] for e in json.loads(topobatch("history", "--json", "-w", ws).out)]
     assert texts[0] == "odometry-topic = /none, false-merge-rate = 0.01"
+    assert all(text.endswith(f"settings.toml: {texts[0]}") for text in texts[1:])
     assert len(texts) == 3
 
 
