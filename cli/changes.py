@@ -12,7 +12,7 @@ from ..merge.result import Component, MergeResult
 from ..topology.wording import counted
 from ..viz.parts import in_order
 from .draw import picture_form, quiet_fonts, walled
-from .options import HereWithMerge, JsonOption, ThemeOption, argument, option, verb
+from .options import ComponentOption, HereWithMerge, JsonOption, ThemeOption, argument, option, verb
 from .output import say, say_folded, say_json, write_files
 from .workspace import Workspace
 
@@ -23,6 +23,7 @@ if TYPE_CHECKING:  # which loads matplotlib
 @verb
 def changes(
     site: Annotated[str | None, argument("SITE", "Only this site (topobatch list).")] = None,
+    component: ComponentOption = None,
     everything: Annotated[
         bool, option("--all", "Also differences that may be due to chance.")
     ] = False,
@@ -48,7 +49,7 @@ def changes(
     """
     form = None if output is None else picture_form(output)
     result = place.read_result()
-    component = place.component(result, site)
+    component = place.component(result, site, component)
     found: list[Change] = []
     several = [c for c in in_order(result) if len(c.poses) > 1 and component in (None, c.id)]
     for one in several:

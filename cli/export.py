@@ -19,6 +19,7 @@ from ..topology.wording import counted, listed
 from ..viz.exports import corrected_tum, map_texts, pose_graph_g2o, recorded_tum
 from .export_grid import PICTURE, Exported, grid_of_saved, grid_texts, log_of
 from .options import (
+    ComponentOption,
     Here,
     JsonOption,
     QuietOption,
@@ -66,6 +67,7 @@ def export(
         ),
     ] = None,
     site: SiteOption = None,
+    component: ComponentOption = None,
     tolerance: Annotated[
         float,
         option(
@@ -104,7 +106,7 @@ def export(
     if as_json and output == STDOUT:
         raise UsageError("--json tells of files; with --output - the map itself is printed")
     found = place.named(what)
-    sources = _sources(found, site)
+    sources = _sources(found, site, component)
     texts = _texts(place, sources, form, tolerance, log, partial(_path, place, output, sources))
     if not texts:
         why = "nobody drove its maps, which are of grids: no trajectories"
@@ -125,18 +127,18 @@ def export(
         say_json({"format": form, "files": sorted(map(str, paths))})
 
 
-def _sources(found: Named, site: str | None) -> list[Exported]:
+def _sources(found: Named, site: str | None, component: int | None) -> list[Exported]:
     """The maps to export: a run's, or one for each chosen component of a merge."""
     place = found.place
     if found.pair is not None:
         raise UsageError("one map is exported, of a run or of a site; a pair has none of its own")
     if found.run is not None:
-        if site is not None:
+        if (site, component) != (None, None):
             raise UsageError(f"--site goes with the merged map; {found.run!r} is a run")
         topomap = place.read_map(found.run)
         return [Exported(found.run, topomap, {found.run: topomap})]
     result = place.read_result()
-    one = place.component(result, site or found.site)
+    one = place.component(result, site or found.site, component)
     chosen = [c for c in result.components if one in (None, c.id)]
     stem = "" if place.merge == MERGED else f"{place.merge}-"
     names = {c.id: f"{stem}{c.site or f'{MERGED}-{c.id}'}" for c in chosen}

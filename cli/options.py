@@ -132,6 +132,12 @@ SiteOption = Annotated[
     str | None, option("--site NAME", "Only this site of the merged map (topobatch list).")
 ]
 
+ComponentOption = Annotated[
+    int | None,
+    option("--component N", "Only this component, by its number.", min=0, hidden=True),
+]
+"""How scripts named a site before sites had names."""
+
 FalseMergeRate = Annotated[
     float | None,
     option(

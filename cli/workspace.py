@@ -230,15 +230,23 @@ class Workspace:
         if run.casefold() == MERGED or (run not in DECISIONS and os.path.lexists(merge)):
             raise UsageError(f"{run!r} cannot name a run: a merge is called so")
 
-    def component(self, result: MergeResult, site: str | None) -> int | None:
-        """The component that is a site, None of None; UsageError if there is none."""
+    def component(
+        self, result: MergeResult, site: str | None, number: int | None = None
+    ) -> int | None:
+        """The component that is a site, or has a number; None if neither is given. UsageError if
+        there is none, or both are given."""
+        if site is not None and number is not None:
+            raise UsageError("name a site or a --component, not both")
         ids = {c.name: c.id for c in result.components}
-        if site is not None and site not in ids:
+        if site is None and number in (None, *ids.values()):
+            return number
+        if site is None or site not in ids:
+            named = f"component {number}" if site is None else f"site {site!r}"
             raise UsageError(
-                f"{self.merged_json}: there is no site {site!r}{_meant(site, [*ids])} there are: "
+                f"{self.merged_json}: there is no {named}{_meant(site or '', [*ids])} there are: "
                 f"{listed(sorted(ids)) or 'none'}"
             )
-        return None if site is None else ids[site]
+        return ids[site]
 
     # What to say where something is missing
 

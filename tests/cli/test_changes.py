@@ -86,6 +86,7 @@ def test_exports_mark_the_corridors_that_are_gone(topobatch, place, tmp_path, fo
 
 def test_calls_that_cannot_be(topobatch, place, tmp_path) -> None:
     assert "topobatch ingest" in topobatch("changes", "-w", tmp_path).error(1)
+    assert "no component 9" in topobatch("changes", "--component", 9, "-w", place.root).error(2)
     alone = Workspace(tmp_path / "alone")
     one = place.read_map("run1")
     write_map(alone.map_json("run1"), one)

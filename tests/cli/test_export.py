@@ -57,8 +57,7 @@ def test_a_run_goes_to_the_exports_of_its_workspace(topobatch, filled, form, end
 
 def test_nodes_have_the_numbers_of_pictures(topobatch, buildings, tmp_path) -> None:
     document = read_json(Workspace(buildings).merged_json)
-    component = document["graph"]["components"][-1]
-    last, site = component["id"], component["site"]
+    last = document["graph"]["components"][-1]["id"]
     junctions = {
         n["id"]: [n["x"], n["y"]]
         for n in document["nodes"]
@@ -67,7 +66,7 @@ def test_nodes_have_the_numbers_of_pictures(topobatch, buildings, tmp_path) -> N
     assert min(junctions) > 0
     for form, suffix in (("nav2", "json"), ("rmf", "yaml")):
         out = tmp_path / f"{form}.{suffix}"
-        call = ("export", "-f", form, "--site", site, "-o", out, "-w", buildings)
+        call = ("export", "-f", form, "--component", last, "-o", out, "-w", buildings)
         assert topobatch(*call).code == 0
         if form == "rmf":
             names = re.findall(r"junction_(\d+)", out.read_text())
@@ -103,6 +102,8 @@ def test_the_calls_that_cannot_be(topobatch, filled, tmp_path) -> None:
     for call, told in (
         (["nobody", "-f", "nav2"], "no run, site, merge or pair A:B named nobody"),
         ([run, "-f", "nav2", "--site", "0"], "goes with the merged map"),
+        ([run, "-f", "nav2", "--component", "0"], "goes with the merged map"),
+        (["merged", "-f", "nav2", "--component", "77"], "there is no component 77"),
         ([run, "-f", "csv", "-o", "-"], "do not go to the standard output"),
         ([run, "-f", "nav2", "--log", "x.mcap"], "goes with --format tum"),
     ):

@@ -154,6 +154,8 @@ def test_a_merge_that_is_not_there(topobatch, merged_site, monkeypatch, call):
         ("merge --all -w", "requires an argument; see `topobatch merge --help`"),
         ("ingest", "see `topobatch ingest --help`"),
         ("merg --all", "did you mean 'merge'? see `topobatch --help`"),
+        ("changes --component 9", "there is no component 9; there are: "),
+        ("export merged -f nav2 --component 9", "there is no component 9; there are: "),
         ("lock run1 run2 --never --at 3,7", "--at goes with --same"),
         ("ingest run2.bag --name run1", "give this one another --name"),
         ("explain run1", "two runs are needed: topobatch explain a b"),

@@ -108,6 +108,7 @@ def test_the_calls_that_cannot_be(place, topobatch) -> None:
         (("site", a[0], "x:y"), "without a colon"),
         (("changes", "nowhere"), "there is no site 'nowhere'; there are: "),
         (("export", "-f", "nav2", "--site", "nowhere"), "there is no site 'nowhere'"),
+        (("export", "-f", "nav2", "--site", one, "--component", 0), "not both"),
         (("export", a[0], "-f", "nav2", "--site", one), "--site goes with the merged map"),
         (("merge", a[0], "--output", "sites"), "something else is called so"),
     ):
