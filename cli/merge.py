@@ -131,11 +131,13 @@ def merge(
         if lost := before.keys() & set(broken):
             raise DataError(_leaves_out(place, before, lost, ", without a readable map"))
         last = last or last_merge(place)
-        result = made(place, maps, how.settings(paper), last, where)
+        result, moved = made(place, maps, how.settings(paper), last, where)
         runs_of = counted(sum(len(c.poses) for c in result.components), "run")
-        told = f"{place.merge}: {runs_of}, {describe_pairs(result)}"
+        told = "; ".join([f"{place.merge}: {runs_of}, {describe_pairs(result)}", *moved])
         note(place, "merge", f"{told}{by_settings(place)}")
     _show(result, place)
+    for each in moved:
+        say_folded(each)
     if as_json:
         say_json(_told(place, result))
     if broken:
@@ -238,7 +240,14 @@ def _show_sites(result: MergeResult, place: Workspace) -> None:
 
 
 def _next_steps(result: MergeResult, place: Workspace) -> Iterator[str]:
-    """What to do next: record what joins more; read the report; export."""
+    """What to do next: name a site that has the name of a run only; record what joins more; read
+    the report; export."""
+    given = place.sites()
+    for site in result.components:
+        run = site.name.removeprefix("site-")
+        if site.name not in {run, *given} and run in site.poses:
+            yield f"name a site: {place.call('site', run, 'NAME')}"
+            break
     if open_ := result.standings()[Standing.AMBIGUOUS]:
         pairs = f"{counted(open_, 'pair')} {'is' if open_ == 1 else 'are'} open"
         yield f"{pairs}; what to record to settle most: {place.call('next', *place.of_merge)}"

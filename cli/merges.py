@@ -10,15 +10,15 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from ..merge.document import write_merged
-from ..merge.result import MergeResult, pairs_of
-from ..merge.sites import Origin, SiteHistory, site_names
+from ..merge.result import MergeResult, fused_of, pairs_of
+from ..merge.sites import Origin, SiteHistory, moved_sites, site_names
 from ..topology.errors import DataError, DocumentError
 from ..topology.files import write_together
 from ..topology.topomap import TopoMap
 from ..topology.wording import counted
 from ..viz.pages import describe_pairs
 from .matching import MatchOptions, kept_results, matching, read_maps, settings_of
-from .output import progress, say, warn
+from .output import progress, say, say_folded, warn
 from .stale import contents
 from .workspace import MERGED, Workspace
 
@@ -33,9 +33,10 @@ def made(
     last: MergeResult | None,
     where: MatchOptions = MatchOptions(),  # noqa: B008 - frozen
     new: Mapping[str, str] = MappingProxyType({}),
-) -> MergeResult:
-    """Merge maps and write the files of the merge. last: the merge whose sites keep their names;
-    new: new names of runs since then. The caller holds the workspace's lock."""
+) -> tuple[MergeResult, list[str]]:
+    """Merge maps and write the files of the merge; and what became of the sites of the last one and
+    of the numbers of their junctions. last: the merge whose sites keep their names; new: new names
+    of runs since then. The caller holds the workspace's lock."""
     from ..merge.merging import merge_maps
     from ..viz.merged_recording import write_merged_recording  # which loads rerun
 
@@ -51,6 +52,11 @@ def made(
     sites = {} if last is None else last.sites
     before = {new.get(run, run): new.get(site, site) for run, site in sites.items()}
     result = _with_sites(place, result, maps, before)
+    moved = moved_sites(before, result.sites)
+    if last is not None and place.merged_json.exists():
+        now, then = fused_of(result.fused.members), fused_of(last.fused.members)
+        if any(now.get((new.get(run, run), v), k) != k for (run, v), k in then.items()):
+            moved.append("junctions of sites have other numbers now; draw and export them again")
     result = replace(result, info={**result.info, "maps": contents(place, runs)})
     with progress("writing", 0):
         write_together(
@@ -59,7 +65,7 @@ def made(
                 place.merged_rrd: partial(write_merged_recording, result=result, maps=maps),
             }
         )
-    return result
+    return result, moved
 
 
 def made_again(
@@ -90,9 +96,11 @@ def _repeat(place: Workspace, affected: Collection[str], new: Mapping[str, str])
         say(f"{place.merged_json}: removed; none of its runs is left")
         return
     maps, _ = read_maps(place, runs)
-    result = made(place, maps, _about(settings, new, runs), last, new=new)
+    result, moved = made(place, maps, _about(settings, new, runs), last, new=new)
     name = "" if place.merge == MERGED else f", {place.merge}"
     say(f"merged again{name}: {counted(len(maps), 'run')}, {describe_pairs(result)}")
+    for each in moved:
+        say_folded(each)
 
 
 def _about(settings: MergeSettings, new: Mapping[str, str], runs: Collection[str]) -> MergeSettings:

@@ -18,6 +18,7 @@ from typing import Any, Literal
 from pydantic import Field
 
 from ..topology.map_schema import Model, validated
+from ..topology.wording import listed
 from .merged_schema import SiteName, is_site_name
 
 SITES_SCHEMA: Literal["topobatch.sites/1"] = "topobatch.sites/1"
@@ -155,6 +156,25 @@ def _beginning(sequences: Sequence[Sequence[str]]) -> list[str]:
     """What all of the sequences begin with."""
     columns = takewhile(lambda column: len(set(column)) == 1, zip(*sequences, strict=False))
     return [column[0] for column in columns]
+
+
+def moved_sites(before: Mapping[str, str], now: Mapping[str, str]) -> list[str]:
+    """Sentences on sites that became one, and on those that came apart. before, now: the site of
+    every run."""
+    came: dict[str, list[str]] = {}
+    went: dict[str, list[str]] = {}
+    for old, new in sorted({(before[run], new) for run, new in now.items() if run in before}):
+        went.setdefault(old, []).append(new)
+        # A run that was alone, at a site called like it, is no site that became part of one.
+        if before.get(old) != old:
+            came.setdefault(new, []).append(old)
+    gone = {*before.values()} - {*now.values()}
+    one = {new: old for new, old in came.items() if len(old) > 1 and gone & {*old}}
+    apart = {old: new for old, new in went.items() if len(new) > 1}
+    return [
+        *(f"{listed(old)} are one site now: {new}" for new, old in one.items()),
+        *(f"{old} came apart: {listed(new)}" for old, new in apart.items()),
+    ]
 
 
 class SiteEntry(Model):

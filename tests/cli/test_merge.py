@@ -399,10 +399,11 @@ def test_a_merge_ends_with_its_sites_and_what_to_do_next(tmp_path, monkeypatch):
     assert shown[0] == "  b ? c1: ambiguous: 9.0 bits, 12.0 needed; too little"
     assert shown[MOST_SHOWN] == "  and 2 more ambiguous: --verbose lists them"
     assert shown[MOST_SHOWN + 1] == "  to settle b ? c1: drive 1"
-    assert shown[-7].startswith("171 pairs: 0 merged, 10 ambiguous")
-    assert shown[-6] == "site north: 16 runs: n00, n01, n02, n03, n04, n05, n06, n07 and 8 more"
-    assert shown[-5:-3] == ["site site-run1: 2 runs: run1, run9", "alone: b (lab)"]
-    assert shown[-2:] == [
+    assert shown[-8].startswith("171 pairs: 0 merged, 10 ambiguous")
+    assert shown[-7] == "site north: 16 runs: n00, n01, n02, n03, n04, n05, n06, n07 and 8 more"
+    assert shown[-6:-4] == ["site site-run1: 2 runs: run1, run9", "alone: b (lab)"]
+    assert shown[-3:] == [
+        "name a site: topobatch site run1 NAME",
         "10 pairs are open; what to record to settle most: topobatch next",
         "all on one page: topobatch report; route graphs: topobatch export --format nav2",
     ]

@@ -6,6 +6,7 @@ import json
 import shutil
 from dataclasses import replace
 from datetime import UTC, datetime
+from itertools import combinations
 from types import SimpleNamespace
 
 import numpy as np
@@ -126,16 +127,29 @@ def test_every_merge_that_holds_a_run_is_made_anew(topobatch, merged):
     assert done.code == 0, done
     assert "\nmerged again: 6 runs" in done.out
     assert "\nmerged again, two: 1 run" in done.out
+    assert "\njunctions of sites have other numbers now" in done.out
     assert f'"{gone}"'.encode() not in (merged / "two.json").read_bytes()
     assert (merged / "rest.json").read_bytes() == untouched
     assert not (merged / "alone.json").exists()
     assert f"\n{merged / 'alone.json'}: removed; none of its runs is left" in done.out
     assert (merged / "mine.json").read_text() == "{}"
-    assert topobatch("rename", kept, "new name", "-q", "-w", merged).code == 0
+    renamed = topobatch("rename", kept, f"{kept} new", "-w", merged)  # in the same order
+    assert "other numbers" not in renamed.out
+    assert topobatch("rename", f"{kept} new", "new name", "-q", "-w", merged).code == 0
     for name in ("two", "rest", "merged"):
         text = (merged / f"{name}.json").read_text()
         assert '"new name"' in text
         assert f'"{kept}"' not in text
+
+
+def test_a_merge_says_that_junctions_have_other_numbers(topobatch, merged):
+    assert "other numbers" not in topobatch("merge", "--all", "-w", merged).out
+    for pair in combinations(sorted(p.stem for p in (merged / "maps").glob("*.json")), 2):
+        topobatch("lock", *pair, "--never", "-w", merged)
+    told = topobatch("merge", "--all", "-w", merged).out
+    assert "\njunctions of sites have other numbers now; draw and export them again" in told
+    assert " came apart: " in told
+    assert " came apart: " in topobatch("history", "-w", merged).out
 
 
 @pytest.mark.parametrize("content", ['{"schema": "topobatch.map/0"}', "{"])

@@ -7,6 +7,7 @@ import itertools
 from topobatch.merge.sites import (
     Origin,
     SiteHistory,
+    moved_sites,
     site_names,
 )
 
@@ -59,6 +60,19 @@ def test_a_union_keeps_the_name_of_most_runs() -> None:
     history = SiteHistory(before=before(north=["a", "b", "c"], annex=["d", "e"]))
     names = named([["a", "b", "c", "d", "e"]], history)
     assert names == ["north"]
+
+
+def test_sites_that_became_one_or_came_apart_are_told() -> None:
+    was = before(north=["a", "b", "c"], annex=["d", "e"], f=["f"])
+    union = before(north=["a", "b", "c", "d", "e", "f"])
+    assert moved_sites(was, union) == ["annex, north are one site now: north"]
+    assert moved_sites(was, {**was, "f": "north"}) == []
+    apart = {**was, "c": "annex", "e": "e"}
+    assert moved_sites(was, apart) == [
+        "annex came apart: annex, e",
+        "north came apart: annex, north",
+    ]
+    assert moved_sites(was, {"a": "north", "g": "g"}) == []
 
 
 def test_a_given_name_comes_before_one_that_was_made_up() -> None:
