@@ -27,7 +27,7 @@ from .options import (
     option,
     verb,
 )
-from .output import complain, detail, progress, say, say_json, show, tell, warn
+from .output import complain, detail, megabytes, progress, say, say_json, show, tell, warn
 from .run_logs import run_names
 from .workspace import Workspace
 
@@ -170,16 +170,29 @@ def _run_all(
     outcomes += [entry for entry in planned if isinstance(entry, IngestOutcome)]
     for outcome in outcomes:
         _show(outcome)
-    total = sum(map(job_size, jobs))
+    sizes = {job.run: job_size(job) for job in jobs}
+    total = sum(sizes.values())
     worth = min(os.cpu_count() or 1, total // WORTH_A_PROCESS_BYTES)
     workers = max(1, min(asked or worth, len(jobs)))
-    with (
-        progress("ingesting", total, "bytes") as advance,
-        closing(outcomes_of(jobs, workers, advance)) as known,
-    ):
-        for outcome in known:
-            outcomes.append(outcome)
-            _show(outcome)
+    # Reading a log is half of the work, making its map the other half.
+    with progress("ingesting", 2 * total) as advance:
+        read = finished = mapped = kept = 0
+
+        def on_bytes(so_far: int) -> None:
+            nonlocal read
+            read = max(read, so_far)
+            found = min(max(kept + read, mapped), total)
+            done = f"{megabytes(found)} of {megabytes(total)} MB"
+            advance(found + mapped, f"{finished}/{len(jobs)} logs, {done}", kept=2 * kept)
+
+        with closing(outcomes_of(jobs, workers, on_bytes)) as known:
+            for outcome in known:
+                outcomes.append(outcome)
+                finished += 1
+                mapped += sizes[outcome.run]
+                kept += sizes[outcome.run] if outcome.status == "unchanged" else 0
+                on_bytes(0)
+                _show(outcome)
 
 
 def _show(outcome: IngestOutcome) -> None:
@@ -197,7 +210,13 @@ def _summarise(outcomes: list[IngestOutcome], place: Workspace) -> None:
     failed = sorted(outcome.run for outcome in outcomes if outcome.status == "failed")
     unchanged = sum(outcome.maps for outcome in outcomes if outcome.status == "unchanged")
     good = sum(outcome.maps for outcome in outcomes if outcome.status != "failed")
+    done = [outcome.size for outcome in outcomes if outcome.status == "done"]
     logs = counted(len(outcomes), "log")
+    if len(done) > 1:
+        length_m, junctions, corridors = map(sum, zip(*done, strict=True))
+        way = f", {length_m:,.0f} m" if length_m else ""
+        found = f"{counted(junctions, 'junction')}, {counted(corridors, 'corridor')}"
+        say(f"{counted(len(done), 'log')}{way} → {found}")
     if good:
         same = f" ({unchanged} unchanged)" if unchanged else ""
         told = f"{counted(good, 'map')} of {logs} in {place.maps}{same}"

@@ -63,6 +63,8 @@ class IngestOutcome:
     """Number of maps from the log."""
     details: tuple[str, ...] = ()
     """What was read and how, for --verbose."""
+    size: tuple[float, int, int] = (0.0, 0, 0)
+    """Length driven [m], numbers of junctions and of corridors."""
 
 
 def outcomes_of(
@@ -201,6 +203,7 @@ def _ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcom
     text = f"{_summary(maps, odometry)} ({time.monotonic() - started:.1f} s)"
     if unusual := describe_unusual(maps[0].info):
         text += f"; {unusual}"
+    length_m = 0.0 if odometry is None else float(odometry.step_m.sum())
     return IngestOutcome(
         job.run,
         "done",
@@ -208,6 +211,7 @@ def _ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcom
         tuple(maps[0].info.get("warnings", ())),
         maps=len(maps),
         details=_details(job, topomap),
+        size=(length_m, sum(map(len, maps)), sum(len(m.source) for m in maps)),
     )
 
 

@@ -216,9 +216,10 @@ def write_files(files: Mapping[Path, str | bytes]) -> None:
 
 
 class Advance(Protocol):
-    """Sets how much is done; words: in words, instead of counts; doing: what is done now."""
+    """Sets how much is done; words: in words, instead of counts; doing: what is done now; kept: how
+    much of that was done before, and says nothing of the speed."""
 
-    def __call__(self, done: int, words: str = "", doing: str = "") -> None:
+    def __call__(self, done: int, words: str = "", doing: str = "", kept: int = 0) -> None:
         """Show it."""
 
 
@@ -247,7 +248,7 @@ def progress(label: str, total: int, unit: str = "") -> Iterator[Advance]:
     drawn with --quiet or without a terminal.
     """
     if _call.quiet or not sys.stderr.isatty():
-        yield lambda done, words="", doing="": None
+        yield lambda done, words="", doing="", kept=0: None
         return
     from rich.console import Console
     from rich.progress import (
@@ -266,13 +267,15 @@ def progress(label: str, total: int, unit: str = "") -> Iterator[Advance]:
     bar = Progress(*columns, console=Console(stderr=True), transient=True)
     task = bar.add_task(label, total=total or None, told="")
 
-    def advance(done: int, words: str = "", doing: str = "") -> None:
+    def advance(done: int, words: str = "", doing: str = "", kept: int = 0) -> None:
         known = words
         if unit == "bytes" and not known and not doing:
             known = f"{megabytes(done)} of {megabytes(total)} MB"
         elif unit and not known and not doing:
             known = f"{done:,} of {total:,} {unit}"
-        bar.update(task, completed=done, told=known, description=doing or label)
+        # The time left goes by the fresh work alone.
+        bar.update(task, total=max(total - kept, 0) or None, completed=done - kept)
+        bar.update(task, told=known, description=doing or label)
 
     with bar:
         _call.bar = bar

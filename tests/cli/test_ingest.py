@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import sys
 from dataclasses import replace
@@ -31,6 +32,7 @@ def test_a_folder_of_logs_then_merge(topobatch, logs, tmp_path):
     assert done.code == 0, done
     assert "first: " in done.out
     assert "second: " in done.out
+    assert re.search(r"\n2 logs, \d+ m → \d+ junctions, \d+ corridors\n", done.out)
     assert "topobatch merge" in done.out
     done = topobatch("merge", "--all", "-w", workspace)
     assert done.code == 0, done

@@ -62,3 +62,21 @@ def test_where_nothing_can_be_written_another_file_is_asked_for(monkeypatch):
     monkeypatch.setattr("topobatch.topology.files.write_together", refuse)
     with pytest.raises(DataError, match="Read-only file system; name another file"):
         write_files({Path("ro/page.html"): "text"})
+
+
+def test_a_bar_tells_the_speed_of_fresh_work(monkeypatch, capsys):
+    now = [0.0]
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    monkeypatch.setattr("rich.console.monotonic", lambda: now[0])
+    monkeypatch.setenv("COLUMNS", "120")
+    show()
+    with progress("ingesting", 190) as advance:
+        for seconds in range(5):
+            now[0] = seconds
+            advance(96 + seconds, f"{seconds}/30 logs", kept=96)
+    shown = capsys.readouterr().err
+    assert "4/30 logs left: " in shown
+    assert "0:01:30" in shown
+    with progress("writing", 0):
+        now[0] += 20
+    assert "0:00:20" in capsys.readouterr().err
