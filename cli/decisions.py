@@ -10,7 +10,7 @@ from typing import Annotated
 
 from ..merge.locks import Lock, with_lock, without_lock
 from ..topology.document import write_map
-from ..topology.errors import UsageError
+from ..topology.errors import DataError, UsageError
 from ..topology.files import write_json
 from ..topology.wording import listed
 from ..viz.exports import ENDINGS
@@ -157,7 +157,7 @@ def discard(
 
 def _sorted_out(place: Workspace, what: list[str], undo: bool) -> tuple[list[str], list[Pair]]:
     """The runs and the pairs that are named; UsageError for unknown ones, pairs locked as the same
-    and where there is nothing to undo."""
+    and where there is nothing to undo, DataError for files in place of maps."""
     known = set(place.runs())
     runs: list[str] = []
     pairs: list[Pair] = []
@@ -177,6 +177,11 @@ def _sorted_out(place: Workspace, what: list[str], undo: bool) -> tuple[list[str
         if not undo and (a, b) in same:
             first = place.call("lock", a, b, "--clear")
             raise UsageError(f"{a} and {b} are locked as the same; first: {first}")
+    _, unreadable = place.read_maps(runs)
+    for run, error in unreadable.items():
+        # Of a damaged map the recording beside it tells that topobatch wrote it.
+        if not place.map_rrd(run).is_file():
+            raise DataError(f"{error}; it is left where it is")
     return runs, pairs
 
 

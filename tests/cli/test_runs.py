@@ -152,6 +152,17 @@ def test_a_merge_says_that_junctions_have_other_numbers(topobatch, merged):
     assert " came apart: " in topobatch("history", "-w", merged).out
 
 
+@pytest.mark.parametrize("content", ['{"my": "notes"}', '["topobatch.map/1"]', "no json"])
+def test_a_file_that_is_no_map_is_not_discarded(topobatch, merged, content):
+    notes = merged / "maps" / "notes.json"
+    notes.write_text(content)
+    run, before = accepted_pair(merged)[0], (merged / "merged.json").read_bytes()
+    assert f"{notes}: " in topobatch("discard", run, "notes", "-w", merged).error(1)
+    assert notes.read_text() == content
+    assert (merged / "maps" / f"{run}.json").exists()
+    assert (merged / "merged.json").read_bytes() == before
+
+
 @pytest.mark.parametrize("content", ['{"schema": "topobatch.map/0"}', "{"])
 def test_a_map_that_cannot_be_read_is_discarded(topobatch, merged, content):
     run = accepted_pair(merged)[0]
