@@ -20,7 +20,6 @@ the index leaves out; they count in how sure a pair must be of not being a copy.
 from __future__ import annotations
 
 import argparse
-import gc
 import resource
 import tempfile
 import time
@@ -31,7 +30,6 @@ from pathlib import Path
 import numpy as np
 from observed import observed_map, scattered_regions
 
-from topobatch.cli.merge import GARBAGE
 from topobatch.merge.document import write_merged
 from topobatch.merge.kept import Kept
 from topobatch.merge.merging import merge_maps
@@ -261,7 +259,6 @@ def main():
     parser.add_argument("--beyond", type=int, default=100)
     parser.add_argument("--first", type=int, default=0)
     options = parser.parse_args()
-    gc.set_threshold(GARBAGE)  # as the command does
     if options.sizes:
         table([int(size) for size in options.sizes.split(",")], options.first)
     if options.recall:

@@ -49,7 +49,7 @@ def changes(
     """
     form = None if output is None else picture_form(output)
     result = place.read_result()
-    component = place.component(result, component, site)
+    component = place.component(result, site, component)
     found: list[Change] = []
     several = [c for c in in_order(result) if len(c.poses) > 1 and component in (None, c.id)]
     for one in several:

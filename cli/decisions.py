@@ -5,19 +5,19 @@ from __future__ import annotations
 
 import re
 from dataclasses import asdict, replace
+from itertools import chain
 from typing import Annotated
 
 from ..merge.locks import Lock, with_lock, without_lock
-from ..merge.merged_schema import is_site_name
 from ..topology.document import write_map
-from ..topology.errors import DataError, DocumentError, UsageError
-from ..topology.files import read_json, write_atomically, write_json
+from ..topology.errors import DataError, UsageError
+from ..topology.files import write_json
 from ..topology.wording import listed
 from ..viz.exports import ENDINGS
 from .ingest_record import PIECE
 from .journal import note
 from .options import Here, QuietOption, argument, complete_run, option, verb
-from .output import say, show, warn
+from .output import say, show
 from .workspace import MERGED, Workspace, checked_file_name, pair_named
 
 Pair = tuple[str, str]
@@ -47,9 +47,9 @@ def lock(
 ) -> None:
     """Say that two runs belong together, or never do.
 
-    Kept in the workspace (locks.json) and honoured by every later merge. Where the maps speak
-    against --same (it may be another copy of the place, they contradict each other), a warning says
-    so; --clear takes the lock back. Without runs, lists the locks.
+    Kept in the workspace (locks.json) and honoured by every later merge, which warns where the maps
+    speak against --same (it may be another copy of the place, they contradict each other); --clear
+    takes the lock back. Without runs, lists the locks.
 
     \b
       topobatch lock run1 run2 --same
@@ -72,8 +72,6 @@ def lock(
     if wanted is not None:
         place.chosen_runs([a, b])
         _check_lock(place, wanted)
-        if wanted.decision == "same":
-            _warn_of_doubts(place, wanted)
     with place.held():
         locks = place.locks()
         kept = without_lock(locks, a, b) if wanted is None else with_lock(locks, wanted)
@@ -102,23 +100,6 @@ def _check_lock(place: Workspace, lock: Lock) -> None:
         junctions = len(place.read_map(run))
         if vertex >= junctions:
             raise UsageError(f"{run} has junctions 0 … {junctions - 1}, not {vertex}")
-
-
-def _warn_of_doubts(place: Workspace, lock: Lock) -> None:
-    """Say what the maps of two runs have against it that they are one place."""
-    from ..merge.robust.entries import doubt
-    from .explain import decided
-
-    try:
-        *_, decision = decided(place, (lock.a, lock.b))
-    except DataError as error:
-        warn(f"what the maps say is not known: {error}")
-        return
-    # The verdict of a merge may be by an older lock; the placement is that of the maps.
-    best = decision.placements[0].alignment if decision.placements else decision.pair.best
-    if why := doubt(replace(decision.pair, best=best)):
-        see = place.call("explain", lock.a, lock.b)
-        warn(f"by the maps of {lock.a} and {lock.b}, {why}; see: {see}")
 
 
 def _show_locks(locks: tuple[Lock, ...]) -> None:
@@ -196,25 +177,20 @@ def _sorted_out(place: Workspace, what: list[str], undo: bool) -> tuple[list[str
         if not undo and (a, b) in same:
             first = place.call("lock", a, b, "--clear")
             raise UsageError(f"{a} and {b} are locked as the same; first: {first}")
-    for path in map(place.map_json, runs):
-        try:
-            found = read_json(path)
-        except DocumentError:
-            found = None
+    _, unreadable = place.read_maps(runs)
+    for run, error in unreadable.items():
         # Of a damaged map the recording beside it tells that topobatch wrote it.
-        schema = str(found.get("schema") if isinstance(found, dict) else None)
-        if not schema.startswith("topobatch.map/") and not path.with_suffix(".rrd").is_file():
-            raise DataError(f"{path}: is no map of topobatch's; it is left where it is")
+        if not place.map_rrd(run).is_file():
+            raise DataError(f"{error}; it is left where it is")
     return runs, pairs
 
 
 def _discard_run(place: Workspace, run: str) -> None:
-    """Remove a run's files, its map last, so that an interrupted call can be repeated."""
+    """Remove a run and its exports."""
     place.rename_decided({run: None})
-    exported = (place.exports / f"{run}{each}" for some in ENDINGS.values() for each in some)
-    made = (place.map_rrd(run), *exported, place.map_views(run))
-    for path in (place.ingest_record(run), *made, place.map_json(run)):
-        path.unlink(missing_ok=True)
+    for ending in chain.from_iterable(ENDINGS.values()):
+        (place.exports / f"{run}{ending}").unlink(missing_ok=True)
+    place.remove_run(run)
 
 
 @verb
@@ -266,19 +242,16 @@ def _names(place: Workspace, old: str, new: str) -> dict[str, str]:
 def _rename(place: Workspace, old: str, new: str, names: dict[str, str]) -> None:
     """Move the files of a run; new ones are written before old ones are removed."""
     topomap = replace(place.read_map(old), run=new)
-    if place.map_rrd(old).is_file() and not place.map_rrd(old).is_symlink():
-        content = place.map_rrd(old).read_bytes()
-        write_atomically(place.map_rrd(new), lambda path: path.write_bytes(content))
     write_map(place.map_json(new), topomap)
+    if place.map_rrd(old).exists():
+        place.map_rrd(old).replace(place.map_rrd(new))
     record = place.ingested(old)
     if record.log is not None:  # by which the log is known to be this run
         runs, views = (
             [names.get(run, run) for run in some] for some in (record.runs, record.views)
         )
         write_json(place.ingest_record(new), asdict(replace(record, runs=runs, views=views)))
-    gone = (place.map_rrd(old), place.map_views(old), place.ingest_record(old))
-    for path in (*gone, place.map_json(old)):
-        path.unlink(missing_ok=True)
+    place.remove_run(old)
 
 
 @verb
@@ -301,15 +274,14 @@ def site(
     names of its runs begin with, or "site-" and its oldest run. One that you give is kept
     (sites.json), as more runs come and others go. Two sites that become one keep the name that most
     runs have; of a site that comes apart, the larger part keeps it. Exports are called like their
-    site. Nothing is matched again: only the names in the merges change. Several may be named at
-    once: topobatch site run1 north run7 east.
+    site. Several may be named at once: topobatch site run1 north run7 east.
 
     \b
       topobatch site run1 north
       topobatch export --site north --format nav2
       topobatch draw north north.svg
     """
-    from .merges import named_again
+    from .merges import made_again
 
     show(quiet=quiet)
     if len(words) % 2:
@@ -318,7 +290,7 @@ def site(
         before = place.sites()
         try:
             told = [_name(place, *pair) for pair in zip(words[::2], words[1::2], strict=True)]
-            named_again(place)
+            made_again(place, place.runs())
         except UsageError:
             place.decide(sites=before)
             raise
@@ -333,9 +305,8 @@ def _name(place: Workspace, run: str, name: str) -> str:
     """Keep the name of one site; it and its runs in words."""
     components: list[list[str]] = []
     sites: dict[str, str] = {}
-    if place.merged_json.is_file():
-        graph = place.read_merged().graph
-        components, sites = [sorted(c.runs) for c in graph.components], graph.sites
+    if (result := place.last_result()) is not None:
+        components, sites = [sorted(c.poses) for c in result.components], result.sites
     at = [runs for runs in components if run in runs or sites.get(runs[0]) == run]
     if run in place.runs():
         at = [runs for runs in at if run in runs] or [[run]]
@@ -353,8 +324,6 @@ def _name(place: Workspace, run: str, name: str) -> str:
 def _check_site(place: Workspace, name: str, sites: dict[str, str], runs: list[str]) -> None:
     """UsageError if a site cannot be called so. sites: of every run."""
     checked_file_name(name, "a site")
-    if not is_site_name(name):
-        raise UsageError(f"{name!r} cannot name a site: it must work as a file name")
     if name in place.runs() and runs != [name]:
         raise UsageError(f"{name!r} cannot name a site: a run is called so")
     if name.casefold() == MERGED or name in [each.merge for each in place.merges()]:

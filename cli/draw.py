@@ -97,12 +97,7 @@ def _drawn(place: Workspace, what: str, theme: Theme) -> Canvas:
     return drawings.draw_merged(result, theme, sites=[site.id], maps=walled(place, [site]))
 
 
-MOST_WALLED = 100
-"""Maps that are read for their walls: those of more runs are drawn without."""
-
-
 def walled(place: Workspace, components: Iterable[Component]) -> dict[str, TopoMap]:
     """The maps of the runs of components that can be read."""
-    runs = [run for c in components for run in c.poses]
-    maps, _ = place.read_maps(runs if len(runs) <= MOST_WALLED else ())
+    maps, _ = place.read_maps(run for c in components for run in c.poses)
     return maps

@@ -2,32 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import suppress
 from dataclasses import replace
 from functools import cache
 from typing import Annotated, Literal
 
-from ..merge.changes import changes as changes_of
 from ..merge.decision import Decision, to_document
 from ..merge.decision_text import lines
-from ..merge.merged_schema import MergedDocument
-from ..merge.result import shown_bits
-from ..topology.errors import DataError, UsageError
+from ..merge.result import MergeResult, shown_bits
+from ..topology.errors import UsageError
 from ..topology.topomap import TopoMap
 from ..topology.wording import counted
 from .matching import kept_results, settings_of
 from .options import HereWithMerge, JsonOption, argument, complete_run, option, verb
-from .output import is_terminal, say, say_json, say_lines, width
+from .output import say, say_json, say_lines, width
 from .paper_options import PaperOptions
-from .unchanged import changed_since, told_changed
+from .stale import changed_since, told_changed
 from .workspace import MERGED, Workspace
 
 TO_MERGE = "topobatch merge --all"
 """What gives runs a verdict."""
-
-MOST_COMPARED = 100
-"""Runs of a site whose maps are read to tell what changed: reading more takes too long."""
 
 
 @verb
@@ -97,8 +90,7 @@ def _by_evidence(place: Workspace, pair: tuple[str, str], as_json: bool, rows: i
         return
     # Pictures, which may be moved, have the call without the workspace.
     notes = [n.replace(TO_MERGE, place.call("merge", "--all")) for n in decision.notes]
-    told, whole = replace(decision, notes=tuple(notes)), not is_terminal()
-    for line in lines(told, rows, width(), whole=whole):
+    for line in lines(replace(decision, notes=tuple(notes)), rows, width()):
         say_lines(line)
     say(f"as a picture: {place.call('draw', ':'.join(pair), 'why.svg')}")
 
@@ -108,69 +100,35 @@ def decided(place: Workspace, pair: tuple[str, str]) -> tuple[TopoMap, TopoMap, 
     both. Without such a merge the decision is that of the two by themselves."""
     from ..merge.robust.explained import Merge, explain
 
-    document = _last_merge(place)
-    why_not = _not_merged(place, document, pair)
-    settings, read = settings_of(place, document).robust, cache(place.read_map)
+    result = place.last_result()
+    why_not = _not_merged(place, result, pair)
+    settings, read = settings_of(place, result).robust, cache(place.read_map)
     kept = kept_results(place, settings)
-    if document is None or why_not:
-        held = document is not None and _holds(document, pair)
-        runs = sorted(document.graph.home) if document is not None and held else place.runs()
+    if result is None or why_not:
+        runs = place.runs()
         merge = Merge(read, len(runs), {}, settings, place.locks(), kept=kept)
-        own = "" if document is None else f", with the settings of {place.merged_json.name}"
         notes = [
             f"{why_not}; this is what the two maps say by themselves, asked as one pair of "
-            f"{counted(len(runs), 'map')}{own}; a merge also counts what the others say"
+            f"{counted(len(runs), 'map')}; a merge also counts what the others say"
         ]
-        told = {"same": "locked as the same", "never": "locked apart"}
-        locks = [k for k in place.locks() if (k.a, k.b) == pair]
-        notes += [f"{told[k.decision]}, which is not counted here" for k in locks]
-        if pair in place.discards():
-            notes.append("the match was discarded, which is not counted here")
     else:
-        merge = Merge.of(place.read_result(), read, settings, place.locks(), kept)
-        new = changed_since(place, document.graph.maps or {}, pair)
+        merge = Merge.of(result, read, settings, place.locks(), kept)
+        new = changed_since(place, result.info.get("maps") or {}, pair)
         notes = [f"{told_changed(new)}; merge again"] if new else []
     decision = explain(merge, *pair)
     a, b = map(read, pair)
     notes += decision.notes
-    if decision.of_merge and not why_not:
-        notes += _changes(place, pair)
     return a, b, replace(decision, notes=tuple(notes), of_merge=decision.of_merge and not why_not)
 
 
-def _changes(place: Workspace, pair: tuple[str, str]) -> Iterator[str]:
-    """What changed between two runs of a site: the verdict counts such corridors as not matched,
-    which contradicts nothing."""
-    result = place.read_result()
-    site = next((c for c in result.components if c.poses.keys() >= set(pair)), None)
-    if site is None or len(site.poses) > MOST_COMPARED:
-        return
-    with suppress(DataError):  # maps that changed since the merge
-        found = changes_of(result, site.id, place.maps_as_merged(result, site.id, [*site.poses]))
-        for change in found:
-            if change.sure and change.differs_for(*pair):
-                what, *_ = change.words(site.name)
-                yield f"{what} ({place.call('changes', site.name, *place.of_merge)})"
-
-
-def _last_merge(place: Workspace) -> MergedDocument | None:
-    """The document of the selected merge, if there is one."""
-    return place.read_merged() if place.merged_json.exists() else None
-
-
-def _not_merged(place: Workspace, document: MergedDocument | None, pair: tuple[str, str]) -> str:
+def _not_merged(place: Workspace, result: MergeResult | None, pair: tuple[str, str]) -> str:
     """Why the workspace's merge has no verdict on a pair, "" if it has one."""
-    if document is None:
+    if result is None:
         return f"not merged yet ({TO_MERGE})"
     name = place.merged_json.name
-    if document.graph.method == "paper":
+    if result.info.get("method") == "paper":
         return f"{name} is a merge by --method paper (see topobatch explain --method paper)"
-    return "" if _holds(document, pair) else f"{name} does not hold both runs"
-
-
-def _holds(document: MergedDocument, pair: tuple[str, str]) -> bool:
-    """Whether both runs are in a merge."""
-    return document.graph.home.keys() >= set(pair)
+    return "" if result.home.keys() >= {*pair} else f"{name} does not hold both runs"
 
 
 def _by_paper(
@@ -185,9 +143,9 @@ def _by_paper(
     from ..merge.paper.explain import lines, to_document
 
     map_a, map_b = (place.read_map(run) for run in pair)
-    document = _last_merge(place)
-    settings = settings_of(place, document).paper
+    settings = settings_of(place, place.last_result()).paper
     found = explained(map_a, map_b, options.over(settings))
+    document = place.read_merged() if place.merged_json.is_file() else None
     said = None if document is None else document.entry(*pair)
     if as_json:
         say_json(to_document(found) | {"verdict": said and said.model_dump()})

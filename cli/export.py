@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -12,10 +12,8 @@ from ..ingest.reading import read_run
 from ..merge.changes import last_found
 from ..merge.component_map import component_map, component_pose_graph, stale_runs
 from ..merge.result import Component, MergeResult
-from ..topology.errors import DataError, DocumentError, UsageError
-from ..topology.files import read_json, write_json
+from ..topology.errors import DataError, UsageError
 from ..topology.map_pose_graph import map_pose_graph
-from ..topology.odometry import Odometry
 from ..topology.topomap import TopoMap
 from ..topology.wording import counted, listed
 from ..viz.exports import corrected_tum, map_texts, pose_graph_g2o, recorded_tum
@@ -93,9 +91,8 @@ def export(
 ) -> None:
     """Write a map in a format that others load.
 
-    Sites share no frame: each becomes a file of its own, called like the site (topobatch list);
-    files of sites that are no more go from exports/. Trajectories (tum) and scans (grid) are read
-    from the runs' logs again.
+    Sites share no frame: each becomes a file of its own, called like the site (topobatch list).
+    Trajectories (tum) and scans (grid) are read from the runs' logs again.
 
     \b
       topobatch export --format nav2
@@ -109,7 +106,7 @@ def export(
     if as_json and output == STDOUT:
         raise UsageError("--json tells of files; with --output - the map itself is printed")
     found = place.named(what)
-    sources = _sources(found, component, site)
+    sources = _sources(found, site, component)
     texts = _texts(place, sources, form, tolerance, log, partial(_path, place, output, sources))
     if not texts:
         why = "nobody drove its maps, which are of grids: no trajectories"
@@ -126,27 +123,22 @@ def export(
     write_files(paths)
     for path in paths:
         say(str(path))
-    whole = (found.run, found.site, site, component) == (None,) * 4
-    if whole and output is None:
-        for path in _superseded(found.place, form, paths):
-            path.unlink(missing_ok=True)
     if as_json:
         say_json({"format": form, "files": sorted(map(str, paths))})
 
 
-def _sources(found: Named, component: int | None, site: str | None) -> list[Exported]:
+def _sources(found: Named, site: str | None, component: int | None) -> list[Exported]:
     """The maps to export: a run's, or one for each chosen component of a merge."""
     place = found.place
     if found.pair is not None:
         raise UsageError("one map is exported, of a run or of a site; a pair has none of its own")
     if found.run is not None:
-        if component is not None or site is not None:
-            option = "--site" if component is None else "--component"
-            raise UsageError(f"{option} goes with the merged map; {found.run!r} is a run")
+        if (site, component) != (None, None):
+            raise UsageError(f"--site goes with the merged map; {found.run!r} is a run")
         topomap = place.read_map(found.run)
         return [Exported(found.run, topomap, {found.run: topomap})]
     result = place.read_result()
-    one = place.component(result, component, site or found.site)
+    one = place.component(result, site or found.site, component)
     chosen = [c for c in result.components if one in (None, c.id)]
     stem = "" if place.merge == MERGED else f"{place.merge}-"
     names = {c.id: f"{stem}{c.site or f'{MERGED}-{c.id}'}" for c in chosen}
@@ -247,7 +239,8 @@ def _trajectories(place: Workspace, source: Exported, log: Path | None) -> dict[
             if source.component is not None:
                 warn(f"{run}: is the map of a grid, which nobody drove: no trajectory")
             continue
-        odometry = _odometry(place, topomap, log)
+        at = log_of(place, run, log)
+        odometry = read_run(at, place.ingested(run).settings()).odometry
         corrected = corrected_tum(topomap, odometry, poses.get(run))
         if corrected is None:
             raise DataError(
@@ -257,12 +250,6 @@ def _trajectories(place: Workspace, source: Exported, log: Path | None) -> dict[
         out[f"{stem}.recorded.tum"] = recorded_tum(odometry)
         out[f"{stem}.corrected.tum"] = corrected
     return out
-
-
-def _odometry(place: Workspace, topomap: TopoMap, log: Path | None) -> Odometry:
-    """A run's odometry from its log, with the recorded settings of its ingest, if any."""
-    at = log_of(place, topomap.run, log)
-    return read_run(at, place.ingested(topomap.run).settings()).odometry
 
 
 def _path(
@@ -286,20 +273,3 @@ def _path(
     if own.endswith(PICTURE) or output.suffix == PICTURE:
         return output.with_name(f"{output.stem}{own}")
     return output.with_name(f"{output.stem}{own.removesuffix(output.suffix)}{output.suffix}")
-
-
-def _superseded(place: Workspace, form: Format, written: Collection[Path]) -> list[Path]:
-    """What exports of a merge wrote and this one did not, as the sites are others; records what
-    this one wrote. place: with the merge."""
-    try:
-        found = read_json(place.export_record)
-    except DocumentError:
-        found = None  # a cache: without it old files are left
-    record = dict(found) if isinstance(found, dict) else {}
-    last = record.get(form)
-    old = set(map(str, last)) if isinstance(last, list) else set()
-    write_json(place.export_record, record | {form: sorted(path.name for path in written)})
-    named = (*place.runs(), *(each.merge for each in place.merges()))
-    others = tuple(f"{name}." for name in named if name != place.merge)
-    there = [path for path in place.exports.iterdir() if path.name in old]
-    return [p for p in there if p not in written and not p.name.startswith(others)]

@@ -6,12 +6,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 
 from ..ingest.logs.grids import GridLog
-from ..ingest.reading import log_exists, log_fingerprint, log_size, read_log
+from ..ingest.reading import log_exists, log_fingerprint, read_log
 from ..ingest.remote.path import LogPath, log_path
 from ..ingest.run_scans import LaidScans, Occupancy, scans_on_map
 from ..merge.result import Component, MergeResult, placed_at
@@ -23,20 +22,17 @@ from ..topology.se2 import apply, compose
 from ..topology.topomap import TopoMap
 from ..topology.views import CELL_M as VIEW_CELL_M
 from ..topology.views import REACH_M
-from ..topology.wording import counted, listed
+from ..topology.wording import listed
 from ..viz.exports import map_picture, map_yaml
 from ..viz.walls import walls_of
-from .output import Advance, begin, progress, warn
+from .output import counting, megabytes, progress, warn
 from .workspace import Workspace
 
-T = TypeVar("T")
 Placed = Callable[[FloatArray], FloatArray]
 OnBytes = Callable[[int], None]
 
 CELL_M = 0.05
 """Side of a cell, as map savers write them."""
-LARGE_BYTES = 2_000_000
-"""Logs of more together take some seconds, which a line says where there is no bar."""
 PICTURE = ".pgm"
 """Suffix of pictures."""
 
@@ -65,14 +61,7 @@ def grid_texts(
         raise DataError(f"{source.name}: {_why_bare(place, source)}")
     if bare:
         warn(f"{listed(bare, 3)}: no laser shows walls; the grid is without")
-    logs = _Logs(place, source, log)
-    size = sum(logs.bytes.values())
-    if size > LARGE_BYTES:
-        begin(f"{source.name}: reading {counted(len(logs.bytes), 'log')} again")
-    with progress(f"{source.name}: reading", size, "bytes") as advance:
-        grid, told = _grid(source, logs, advance)
-    for run, why in sorted(logs.gone.items()):
-        warn(f"{why}; the walls of {run} are those of its views, in cells of {VIEW_CELL_M:g} m")
+    grid, told = _grid(place, source, log)
     if grid is None:
         raise DataError(f"{source.name}: nothing is known of its walls")
     frame = f"{source.name}, in the frame {source.topomap.frame} of its other exports"
@@ -87,7 +76,7 @@ def grid_of_saved(place: Workspace, source: Exported) -> Grid | None:
     their pictures has to be read; None of others."""
     if len(source.maps) < 2 or any(len(m.observation_time_ns) for m in source.maps.values()):
         return None
-    grid, _ = _grid(source, _Logs(place, source, None), lambda *_, **__: None)
+    grid, _ = _grid(place, source, None)
     return grid
 
 
@@ -124,81 +113,51 @@ def _why_bare(place: Workspace, source: Exported) -> str:
     )
 
 
-class _Logs:
-    """The logs of runs with views, read again. bytes: their sizes; gone: runs whose log cannot be
-    read, and why; one that the user named has to be."""
-
-    def __init__(self, place: Workspace, source: Exported, log: LogPath | None) -> None:
-        self._place, self._named = place, log
-        self.gone: dict[str, str] = {}
-        self.bytes = {
-            run: size
-            for run, topomap in sorted(source.maps.items())
-            if len(topomap.views) and (size := self._read(run, log_size)) is not None
-        }
-
-    def _read(self, run: str, read: Callable[[LogPath], T]) -> T | None:
-        try:
-            if run in self.gone:
-                return None
-            return read(log_of(self._place, run, self._named))
-        except (TopobatchError, OSError) as error:
-            if self._named is not None:
-                raise
-            self.gone[run] = str(error)
-            return None
-
-    def scans(self, topomap: TopoMap, on_bytes: OnBytes) -> LaidScans | None:
-        """The scans of a run on its map."""
-        settings = self._place.ingested(topomap.run).settings()
-        return self._read(
-            topomap.run, lambda at: scans_on_map(at, settings, topomap, on_bytes=on_bytes)
-        )
-
-    def saved(self, topomap: TopoMap, on_bytes: OnBytes) -> Grid | None:
-        """The grid that a map was made from."""
-        record = self._place.ingested(topomap.run)
-
-        def read(at: LogPath) -> Grid:
-            found = read_log(at, record.settings(), on_bytes=on_bytes)
-            if not isinstance(found, GridLog):
-                raise DataError(f"{at}: is not the saved map that {topomap.run} was made from")
-            return found.grid
-
-        return self._read(topomap.run, read)
+def _seen(
+    place: Workspace, topomap: TopoMap, named: LogPath | None, on_bytes: OnBytes
+) -> LaidScans | Grid | None:
+    """What a run's log shows of its walls: its scans on its map, or the saved map that it is. None,
+    with a warning, where it cannot be read; one that the user named has to be."""
+    try:
+        at, settings = log_of(place, topomap.run, named), place.ingested(topomap.run).settings()
+        if len(topomap.observation_time_ns):
+            return scans_on_map(at, settings, topomap, on_bytes=on_bytes)
+        found = read_log(at, settings, on_bytes=on_bytes)
+        if not isinstance(found, GridLog):
+            raise DataError(f"{at}: is not the saved map that {topomap.run} was made from")
+        return found.grid
+    except (TopobatchError, OSError) as error:
+        if named is not None:
+            raise
+        told = f"the walls of {topomap.run} are those of its views, in cells of {VIEW_CELL_M:g} m"
+        warn(f"{error}; {told}")
+        return None
 
 
-def _grid(source: Exported, logs: _Logs, advance: Advance) -> tuple[Grid | None, list[str]]:
+def _grid(place: Workspace, source: Exported, log: LogPath | None) -> tuple[Grid | None, list[str]]:
     """The grid in the frame of the map, and what it was made from.
 
     Scans of all runs are laid together; what these do not know is told by saved maps, the largest
     first, and what these do not know by views.
     """
-    done = 0
-
-    def on_bytes(more: int) -> None:
-        nonlocal done
-        done += more
-        advance(done)
-
     frame, placed = source.topomap.frame, _placements(source)
     seen = {run: m for run, m in sorted(source.maps.items()) if len(m.views)}
-    read = {
-        run: logs.saved(m, on_bytes) for run, m in seen.items() if not len(m.observation_time_ns)
-    }
-    saved = {run: grid for run, grid in read.items() if grid is not None}
-    if len(seen) == 1 and saved:
-        ((run, grid),) = saved.items()
-        if not grid.origin[2] and not placed[run](np.zeros((1, 2))).any():
-            return grid, [f"saved map of {run}"]  # as it is
-    cast = Occupancy(_cell_m(source, saved, placed))
-    by_scans = []
-    for run in sorted(seen.keys() - read.keys()):
-        scans = logs.scans(seen[run], on_bytes)
-        if scans is not None:
-            advance(done, doing=f"{source.name}: drawing what {run} saw")
-            cast.add(scans.keyframes, compose(placed[run](scans.body[:, :2]), scans.body))
-            by_scans.append(run)
+    with progress(f"{source.name}: reading its logs", 0) as advance:
+        on_bytes = counting(lambda done: advance(done, f"{megabytes(done)} MB"))
+        undriven = [run for run, m in seen.items() if not len(m.observation_time_ns)]
+        read = {run: _seen(place, seen[run], log, on_bytes) for run in undriven}
+        saved = {run: grid for run, grid in read.items() if isinstance(grid, Grid)}
+        if len(seen) == 1 and saved:
+            ((run, grid),) = saved.items()
+            if not grid.origin[2] and not placed[run](np.zeros((1, 2))).any():
+                return grid, [f"saved map of {run}"]  # as it is
+        cast = Occupancy(_cell_m(source, saved, placed))
+        by_scans = []
+        for run in sorted(seen.keys() - read.keys()):
+            scans = _seen(place, seen[run], log, on_bytes)
+            if isinstance(scans, LaidScans):
+                cast.add(scans.keyframes, compose(placed[run](scans.body[:, :2]), scans.body))
+                by_scans.append(run)
     others = sorted(seen.keys() - saved.keys() - set(by_scans))
     views = {run: seen[run].views for run in others}
     laid = [v.moved(placed[run](v.pose[:, :2])) for run, v in views.items()]

@@ -25,7 +25,7 @@ from .options import (
     told_settings,
     verb,
 )
-from .output import complain, counting, progress, say, say_json, table
+from .output import complain, counting, megabytes, progress, say, say_json, table
 from .run_logs import run_names
 
 WHOLE_BYTES = 64_000_000
@@ -140,7 +140,7 @@ def _tried(found: LogInfo, log: LogPath, settings: ReadSettings) -> LogInfo:
 
 def _described(found: LogInfo) -> list[str]:
     """The lines that describe a log, without its problems."""
-    head = f"{found.path}: run {found.name}, {found.format}, {found.bytes / 1e6:,.1f} MB"
+    head = f"{found.path}: run {found.name}, {found.format}, {megabytes(found.bytes)} MB"
     if not any(topic.messages for topic in found.topics):
         head += ", no messages"
     elif found.start_ns is not None:

@@ -27,16 +27,15 @@ from .options import (
     option,
     verb,
 )
-from .output import complain, detail, progress, say, say_json, show, tell, warn
+from .output import complain, detail, megabytes, progress, say, say_json, show, tell, warn
 from .run_logs import run_names
 from .workspace import Workspace
 
 if TYPE_CHECKING:  # what takes a second to load
     from .ingest_worker import IngestJob, IngestOutcome
 
-# A process takes about as long to start as reading this takes.
 WORTH_A_PROCESS_BYTES = 32_000_000
-WORTH_A_PROCESS_LOGS = 8
+"""A process takes about as long to start as reading this takes."""
 
 
 @verb
@@ -173,24 +172,25 @@ def _run_all(
         _show(outcome)
     sizes = {job.run: job_size(job) for job in jobs}
     total = sum(sizes.values())
-    # Reading a log is half of the work, making its map the other half, also of those not read.
+    worth = min(os.cpu_count() or 1, total // WORTH_A_PROCESS_BYTES)
+    workers = max(1, min(asked or worth, len(jobs)))
+    # Reading a log is half of the work, making its map the other half.
     with progress("ingesting", 2 * total) as advance:
-        read = mapped = kept = finished = 0
+        read = finished = mapped = kept = 0
 
         def on_bytes(so_far: int) -> None:
             nonlocal read
-            read = min(max(read, so_far, mapped), total)
-            told = f"{finished}/{len(jobs)} logs, {read / 1e6:,.0f} of {total / 1e6:,.0f} MB"
-            advance(mapped + read, told, kept=kept)
+            read = max(read, so_far)
+            found = min(max(kept + read, mapped), total)
+            done = f"{megabytes(found)} of {megabytes(total)} MB"
+            advance(found + mapped, f"{finished}/{len(jobs)} logs, {done}", kept=2 * kept)
 
-        worth = max(total // WORTH_A_PROCESS_BYTES, len(jobs) // WORTH_A_PROCESS_LOGS)
-        workers = max(1, min(asked or os.cpu_count() or 1, asked or worth, len(jobs)))
         with closing(outcomes_of(jobs, workers, on_bytes)) as known:
             for outcome in known:
                 outcomes.append(outcome)
                 finished += 1
                 mapped += sizes[outcome.run]
-                kept += 2 * sizes[outcome.run] if outcome.status == "unchanged" else 0
+                kept += sizes[outcome.run] if outcome.status == "unchanged" else 0
                 on_bytes(0)
                 _show(outcome)
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import json
+import multiprocessing
 import os
 import time
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, wait
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -19,8 +20,8 @@ from ..ingest.mapping_settings import MappingSettings
 from ..ingest.reading import ReadSettings, log_fingerprint, log_size, read_log
 from ..ingest.remote.path import LogPath, RemotePath
 from ..topology.document import map_to_document
-from ..topology.errors import DataError, DocumentError, TopobatchError, UsageError
-from ..topology.files import read_json, write_json, write_together
+from ..topology.errors import DataError, TopobatchError, UsageError
+from ..topology.files import write_json, write_together
 from ..topology.made_from import describe_junctions, describe_unusual
 from ..topology.odometry import Odometry
 from ..topology.topomap import TopoMap
@@ -28,7 +29,7 @@ from ..topology.view_file import view_writes
 from ..topology.wording import counted, to_turning_points
 from .ingest_record import IngestRecord, origin
 from .output import counting
-from .process import forking_server, lack_of_memory, processes
+from .process import lack_of_memory, processes
 from .version import VERSION
 from .workspace import Workspace
 
@@ -75,44 +76,32 @@ def outcomes_of(
         on_bytes = counting(advance)
         yield from (ingest_one(job, on_bytes) for job in jobs)
         return
-    lost, waiting = [], [*jobs]
-    while waiting:
-        for job, outcome in _side_by_side(waiting, workers, advance):
-            if outcome is None:
-                lost.append(job)
-            else:
-                yield outcome
-    # Once more one by one: each has all memory for itself, and ends no process but its own.
-    for job in lost:
-        ((_, outcome),) = _side_by_side([job], 1, advance)
-        text = f"{job.log}: the process that read it was killed (out of memory?)"
-        yield outcome or IngestOutcome(job.run, "failed", text)
+    left = [*jobs]
+    yield from _side_by_side(left, workers, advance)
+    # Where a process was killed, it ended the others: one by one each has all memory for itself.
+    for job in [*left]:
+        alone = [job]
+        yield from _side_by_side(alone, 1, advance)
+        if alone:
+            text = f"{job.log}: the process that read it was killed (out of memory?)"
+            yield IngestOutcome(job.run, "failed", text)
 
 
 def _side_by_side(
-    waiting: list[IngestJob], workers: int, advance: Callable[[int], None]
-) -> Iterator[tuple[IngestJob, IngestOutcome | None]]:
-    """Jobs taken from a list, with their outcomes. Where a process ends before, all those that were
-    begun have None, and the others stay in the list."""
-    context = forking_server(__name__, "rerun")
-    read = context.Value("q")
-    with processes(workers, context, _share, read) as pool:
-        left: dict[Future[IngestOutcome], IngestJob] = {}
-        broken = False
-        while left or (waiting and not broken):
-            while waiting and not broken and len(left) < workers:
-                try:
-                    future = pool.submit(_ingest, waiting[0])
-                except BrokenExecutor:
-                    broken = True
-                else:
-                    left[future] = waiting.pop(0)
-            done, _ = wait(left, POLL_S, FIRST_COMPLETED)
+    left: list[IngestJob], workers: int, advance: Callable[[int], None]
+) -> Iterator[IngestOutcome]:
+    """Outcomes of jobs, which are taken from the list; those that a killed process ended stay."""
+    read = multiprocessing.Value("q")
+    with processes(workers, _share, read) as pool:
+        waiting = {pool.submit(_ingest, job): job for job in left}
+        while waiting:
+            done, _ = wait(waiting, POLL_S, FIRST_COMPLETED)
             advance(read.value)
             for future in done:
-                gone = isinstance(future.exception(), BrokenExecutor)
-                broken |= gone
-                yield left.pop(future), None if gone else future.result()
+                job = waiting.pop(future)
+                if not isinstance(future.exception(), BrokenExecutor):
+                    left.remove(job)
+                    yield future.result()
 
 
 _shared: list[Any] = []
@@ -195,9 +184,7 @@ def _ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcom
     runs = [m.run for m in maps]
     for gone in set(before.pieces(job.run)) - set(runs):
         if place.ingested(gone).log == before.log:
-            made = (place.map_json(gone), place.map_views(gone), place.map_rrd(gone))
-            for file in (*made, place.ingest_record(gone)):
-                file.unlink(missing_ok=True)
+            place.remove_run(gone)
     # Of several files that of the one that is named, by which `list` tells that a log changed.
     named = isinstance(job.log, Path) and job.log.is_file()
     size = job.log.stat().st_size if named else job_size(job)
@@ -250,28 +237,23 @@ def _write(job: IngestJob, maps: Sequence[TopoMap], drawn: Mapping[str, Any]) ->
     place = job.place
     writes: dict[Path, Callable[[Path], object]] = {}
     for m in maps:
-        doc = map_to_document(m)
-        _refuse_other_log(job, m.run, doc)
+        _refuse_other_log(job, m.run)
         writes[place.map_rrd(m.run)] = partial(write_map_recording, topomap=m, **drawn)
         writes |= view_writes(place.map_json(m.run), m)
-        writes[place.map_json(m.run)] = partial(write_json, doc=doc)
+        writes[place.map_json(m.run)] = partial(write_json, doc=map_to_document(m))
     write_together(writes)
     for m in maps:
         if not len(m.views):
             place.map_views(m.run).unlink(missing_ok=True)  # of a map that was replaced
 
 
-def _refuse_other_log(job: IngestJob, run: str, doc: dict[str, Any]) -> None:
+def _refuse_other_log(job: IngestJob, run: str) -> None:
     """Raise unless the run's existing map was made from this log: others are not overwritten
     without --force."""
     other = job.place.ingested(run).log
     if job.force or other in (None, origin(job.log)):
         return
-    try:
-        same = read_json(job.place.map_json(run)) == doc
-    except DocumentError:
-        return  # nothing is lost: it is not there, or no map
-    if not same:
+    if job.place.map_json(run).exists():
         raise UsageError(
             f"{job.log}: the workspace has a run {run!r} already, made from {other}; "
             "give this one another --name, or replace the map with --force"

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import json
 import os
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
-from typing import Annotated, Any
+from typing import Annotated
+
+from pydantic import TypeAdapter, ValidationError
 
 from ..topology.errors import DataError
 from ..topology.files import read_bytes, write_text
@@ -14,19 +17,25 @@ from .options import Here, JsonOption, option, verb
 from .output import say, say_json, table, warn
 from .workspace import Workspace
 
-MOST_BYTES = 4 << 20
-"""Of a longer journal the older half is dropped: about 40,000 lines."""
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """What was done, when."""
+
+    time: str
+    what: str
+    text: str
+
+
+ENTRY = TypeAdapter(Entry)
 
 
 def note(place: Workspace, what: str, text: str) -> None:
     """Append a line; the caller holds the workspace's lock. A failure to write is only reported."""
     now = datetime.now(UTC).isoformat(timespec="seconds")
-    line = json.dumps({"time": now, "what": what, "text": text}, ensure_ascii=True)
+    line = json.dumps(asdict(Entry(now, what, text)))
     try:
-        lines = [*_lines(place), line]
-        if sum(map(len, lines)) > MOST_BYTES:
-            lines = lines[len(lines) // 2 :]
-        write_text(place.history, "".join(f"{each}\n" for each in lines))
+        write_text(place.history, "".join(f"{each}\n" for each in [*_lines(place), line]))
     except (OSError, DataError) as error:
         warn(f"{place.history}: {error}; not noted")
 
@@ -37,15 +46,12 @@ def _lines(place: Workspace) -> list[str]:
     return read_bytes(place.history).decode("utf-8", "replace").splitlines()
 
 
-def _entry(line: str) -> dict[str, Any] | None:
+def _entry(line: str) -> Entry | None:
     """A parsed line, None if it is no entry."""
     try:
-        found = json.loads(line)
-    except (ValueError, RecursionError):
+        return ENTRY.validate_json(line)
+    except ValidationError:
         return None
-    names = ("time", "what", "text")
-    good = isinstance(found, dict) and all(isinstance(found.get(name), str) for name in names)
-    return {name: found[name] for name in names} if good else None
 
 
 @verb
@@ -71,12 +77,12 @@ def history(
         unread = counted(len(lines) - len(known), "line")
         warn(f"{place.history}: {unread} not written by topobatch, passed over")
     if as_json:
-        say_json(entries)
+        say_json([asdict(entry) for entry in entries])
         return
     if not entries:
         say("nothing was done here yet")
         return
-    rows = [(entry["time"], entry["what"], entry["text"]) for entry in entries]
+    rows = [(entry.time, entry.what, entry.text) for entry in entries]
     for line in table(("when", "what", ""), rows):
         say(line)
     if len(entries) < len(known):

@@ -22,7 +22,7 @@ from ..ingest.reading import read_log
 from ..ingest.remote.path import log_path
 from ..ingest.scans.slicing import SliceSettings
 from ..merge.change import Change
-from ..merge.changes import changes as changes_of
+from ..merge.changes import all_changes
 from ..merge.component_map import component_map
 from ..merge.decision_text import lines
 from ..merge.document import merged_to_document
@@ -114,7 +114,7 @@ def ingest(
     alone = isinstance(log, str | os.PathLike)
     named = [log] if isinstance(log, str | os.PathLike) else log
     given = [log_path(os.fspath(each), allow_scan=allow_scan) for each in named]
-    logs, missing, _ = logs_of(given, separate=separate)
+    logs, missing = logs_of(given, separate=separate)
     for _, error in missing:
         raise error
     if len(logs) > 1 and alone:
@@ -255,10 +255,7 @@ def changes(result: MergeResult, maps: Iterable[TopoMap]) -> tuple[Change, ...]:
     result, maps: a merge, and the maps that it merged. The changes are given site by site, by
     decreasing evidence; ``words(site)`` of each are its description.
     """
-    by_run = {m.run: m for m in maps}
-    several = [c for c in result.components if len(c.poses) > 1]
-    found = [changes_of(result, c.id, {run: by_run[run] for run in c.poses}) for c in several]
-    return tuple(change for some in found for change in some if change.sure)
+    return tuple(c for c in all_changes(result, {m.run: m for m in maps}) if c.sure)
 
 
 def next_drives(result: MergeResult, most: int = 5) -> tuple[Drive, ...]:

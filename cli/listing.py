@@ -7,26 +7,22 @@ import re
 import stat
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from textwrap import shorten
 
+import numpy as np
 import typer
 
 from ..ingest.remote.path import is_remote
 from ..merge.decision_text import weakest_links
-from ..merge.merged_schema import ComponentEntry, MergedDocument
+from ..merge.result import Component, MergeResult
 from ..topology.errors import DataError
-from ..topology.turning_points import KINDS
 from ..topology.wording import counted, utc
 from .options import Here, JsonOption, verb
 from .output import complain, say, say_folded, say_json, table, warn
-from .unchanged import changed_since
+from .stale import changed_since
 from .version import VERSION
 from .workspace import Workspace
 
 ISO = "%Y-%m-%dT%H:%M:%S+00:00"
-
-BRIEF = 44
-"""Letters of a warning that a line of the list has room for."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +59,7 @@ def list_runs(place: Here, as_json: JsonOption = False) -> None:
       topobatch list --json
     """
     merged = _last_merge(place)
-    home = {run: c for c in merged.graph.components for run in c.runs} if merged else {}
+    home = {run: c for c in merged.components for run in c.poses} if merged else {}
     rows = [_listed(place, run, merged, home.get(run)) for run in place.runs()]
     if not rows:
         raise place.no_maps()
@@ -117,50 +113,41 @@ def _by_site(rows: Sequence[Listed], sizes: Mapping[int, str]) -> list[tuple[str
     return [(title, own) for (_, title), own in sorted(groups.items())]
 
 
-def _last_merge(place: Workspace) -> MergedDocument | None:
-    if not os.path.lexists(place.merged_json):
-        return None
+def _last_merge(place: Workspace) -> MergeResult | None:
     try:
-        return place.read_merged()
+        return place.last_result()
     except DataError as error:
         warn(f"{error}; listed without it")
         return None
 
 
-def _sizes(document: MergedDocument) -> dict[int, str]:
+def _sizes(result: MergeResult) -> dict[int, str]:
     """Junctions and corridors of every component; of several, the numbers of its junctions, which
     follow each other, and its weakest link."""
-    home = {node.id: node.component for node in document.nodes if node.kind not in KINDS}
-    junctions: dict[int, list[int]] = {}
-    lengths: dict[int, list[float]] = {component: [] for component in home.values()}
-    for node, component in home.items():
-        junctions.setdefault(component, []).append(node)
-    for edge in document.edges:
-        if edge.source in home and edge.target in home:
-            lengths[home[edge.source]].append(edge.length)
-    weakest = weakest_links(document.merges, document.graph.home)
-    out = {}
-    for c, own in junctions.items():
-        ways = f"{counted(len(lengths[c]), 'corridor')} ({sum(lengths[c]):,.0f} m)"
-        many = len(junctions) > 1 and len(own) > 1
-        between = f" (numbers {min(own)} to {max(own)})" if many else ""
-        out[c] = f", {counted(len(own), 'junction')}{between}, {ways}{weakest.get(c, '')}"
+    weakest, fused, out = weakest_links(result.verdicts, result.home), result.fused, {}
+    for c in result.components:
+        rows = np.flatnonzero((fused.component == c.id) & ~fused.is_turned)
+        lengths = fused.length[np.isin(fused.source, rows) & np.isin(fused.target, rows)]
+        ways = f"{counted(len(lengths), 'corridor')} ({lengths.sum():,.0f} m)"
+        many = len(result.components) > 1 and len(rows) > 1
+        between = f" (numbers {rows.min()} to {rows.max()})" if many else ""
+        out[c.id] = f", {counted(len(rows), 'junction')}{between}, {ways}{weakest.get(c.id, '')}"
     return out
 
 
 def _listed(
-    place: Workspace, run: str, merged: MergedDocument | None, home: ComponentEntry | None
+    place: Workspace, run: str, merged: MergeResult | None, home: Component | None
 ) -> Listed:
     """home: the run's component in the last merge."""
     made_ns = os.lstat(place.maps / f"{run}.json").st_mtime_ns
     old = []
     if merged is not None and home is None:
         old.append("not merged")
-    elif merged is not None and changed_since(place, merged.graph.maps or {}, [run]):
+    elif merged is not None and changed_since(place, merged.info.get("maps") or {}, [run]):
         old.append("map changed since the merge")
     row = Listed(run, ingested=utc(made_ns, ISO), stale=tuple(old))
     if home is not None:
-        row = replace(row, component=home.id, runs=len(home.runs), site=home.site)
+        row = replace(row, component=home.id, runs=len(home.poses), site=home.site or None)
     try:
         m = place.read_map(run)
     except (DataError, OSError) as error:
@@ -168,7 +155,7 @@ def _listed(
     times = m.observation_time_ns
     if warnings := m.info.get("warnings"):
         # What the first is about, without its figures and what was done about it.
-        about = shorten(re.split(r"[;:(]", warnings[0])[0], BRIEF, placeholder=" …")
+        about = re.split(r"[;:(]", warnings[0])[0].strip()
         more = "; …" if len(warnings) > 1 else ""
         row = replace(row, health=f"{counted(len(warnings), 'warning')}: {about}{more}")
     return replace(

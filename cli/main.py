@@ -7,9 +7,7 @@ is at fault; 70 topobatch itself is at fault; 130 interrupted (128 + N by signal
 from __future__ import annotations
 
 import os
-import re
 import sys
-from difflib import get_close_matches
 from importlib import import_module
 from io import TextIOWrapper
 from typing import Annotated, Any
@@ -145,13 +143,6 @@ def _say_what_is_wrong(error: TyperException) -> None:
     command = getattr(context, "command_path", " ".join(("topobatch", *named)))
     line = " ".join(text.split()).removesuffix(".")
     line = line.replace(": Value error, ", ": ").replace(": Input should be ", ": must be ")
-    if line.startswith("No such command") and os.path.exists(sys.argv[1]):
-        line += f"; did you mean `topobatch ingest {sys.argv[1]}`?"
-    if choice := re.search(r"'([^']*)' is not one of ('.+')$", line):
-        near = get_close_matches(choice[1], choice[2][1:-1].split("', '"), 1, 0.7)
-        if choice[1].lower() == "geojson" and "'nav2'" in choice[2]:
-            near = ["nav2"]  # whose file is GeoJSON
-        line += "".join(f"; did you mean {each!r}?" for each in near)
     see = "" if line.endswith("?") else ";"
     complain(f"{line[:1].lower()}{line[1:]}{see} see `{command} --help`")
 

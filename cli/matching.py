@@ -17,8 +17,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..merge.kept import Kept
-from ..merge.merged_schema import MergedDocument
-from ..merge.result import pairs_of
+from ..merge.result import MergeResult, pairs_of
 from ..topology.errors import DataError, UsageError
 from ..topology.topomap import TopoMap
 from ..topology.wording import counted
@@ -63,12 +62,6 @@ class MatchOptions:
         ),
     ] = None
 
-    def check(self) -> None:
-        """UsageError or DataError if there is no such cluster, also where nothing would need it."""
-        if self.cluster is not None:
-            with cluster(self.cluster):
-                pass
-
     def workers(self, pairs: int) -> Workers | None:
         """What so many pairs are matched by: None for this process, else processes or a cluster."""
         from ..merge.workers import Workers
@@ -91,7 +84,7 @@ def read_maps(place: Workspace, names: list[str]) -> tuple[list[TopoMap], list[s
     return list(maps.values()), list(errors)
 
 
-def settings_of(place: Workspace, document: MergedDocument | None) -> MergeSettings:
+def settings_of(place: Workspace, result: MergeResult | None) -> MergeSettings:
     """The settings of a merge, by default the usual ones; those of the method that it is not by
     have its rate at most. DocumentError if they are invalid."""
     from ..merge.document import settings_from_document
@@ -99,12 +92,12 @@ def settings_of(place: Workspace, document: MergedDocument | None) -> MergeSetti
     from ..merge.paper.method import PaperSettings
     from ..merge.robust.settings import RobustSettings
 
-    if document is None:
+    if result is None:
         return MergeSettings()
-    values = document.graph.settings or {}
+    values = result.info.get("settings") or {}
     rate = {name: value for name, value in values.items() if name == "false_merge_rate"}
     with place.document_at_fault("graph.settings: "):
-        if document.graph.method == "paper":
+        if result.info.get("method") == "paper":
             robust = settings_from_document(RobustSettings, rate)
             return MergeSettings("paper", robust, settings_from_document(PaperSettings, values))
         return MergeSettings(robust=settings_from_document(RobustSettings, values))
@@ -127,28 +120,15 @@ def matching(place: Workspace, pairs: int, kept: Kept, where: MatchOptions) -> I
     the command is interrupted."""
     from ..merge.robust import Means
 
-    kept_before: int | None = None
-    all_done = False
     with progress("matching", pairs, "pairs") as advance:
 
         def on_pair(done: int, total: int) -> None:
-            nonlocal kept_before, all_done
-            kept_before = done if kept_before is None else kept_before
-            all_done = done == total
-            advance(done, doing="joining" if all_done else "", kept=kept_before)
-
-        def on_event(text: str) -> None:
-            detail(text)
-            step, *_ = text.partition(", of which")
-            if all_done:
-                advance(pairs, doing=f"joining: {step}")
-            elif kept_before is None:
-                advance(0, doing=step)
+            advance(done, doing="joining" if done == total else "")
 
         root = place.root.resolve()
         read = replace(place, root=root).read_map
         try:
-            yield Means(where.workers(pairs), read, kept, on_pair, on_event)
+            yield Means(where.workers(pairs), read, kept, on_pair, detail)
         except KeyboardInterrupt:
             tell("stopped, nothing written; what was matched is kept: run again to go on")
             raise
@@ -177,10 +157,6 @@ def match_share(place: Workspace, settings: RobustSettings, where: MatchOptions)
         raise typer.Exit(1)
 
 
-CONNECT_S = 20
-"""Timeout of the connection to a scheduler."""
-
-
 @contextmanager
 def cluster(address: str) -> Iterator[Executor]:
     """The executor of a running cluster. UsageError if Dask is not installed or the address is
@@ -193,7 +169,7 @@ def cluster(address: str) -> Iterator[Executor]:
             "--cluster needs Dask: python -m pip install 'topobatch[cluster]'"
         ) from error
     try:
-        client = Client(address, timeout=CONNECT_S, set_as_default=False)
+        client = Client(address, set_as_default=False)
     except ValueError as error:
         raise UsageError(f"--cluster {address}: {error}") from error
     except OSError as error:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -10,8 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from ..merge.decision_text import weakest_links
-from ..merge.document import read_merged
-from ..merge.merged_schema import MergedDocument
 from ..merge.result import MergeResult, PairVerdict, Standing, home_of
 from ..merge.wording import describe_bits
 from ..topology.errors import DataError, DocumentError, UsageError
@@ -32,22 +29,16 @@ from .options import (
     option,
     verb,
 )
-from .output import detail, is_verbose, say, say_folded, say_json, show, warn
+from .output import is_verbose, say, say_folded, say_json, show, warn
 from .paper_options import PaperOptions
-from .unchanged import contents, remember, stands, state_of
 from .workspace import MERGED, Workspace
 
 if TYPE_CHECKING:  # what takes a second to load
     from ..merge.merging import MergeSettings
 
-MOST_AMBIGUOUS, MOST_SITES, MOST_RUNS = 5, 12, 8
-"""Limits of what is printed: ambiguous pairs, sites, runs of a site. The end of a merge fits on a
-screen of 24 lines: what was found stays in sight, and `list`, `explain` and --verbose tell more."""
-
-GARBAGE = 50_000
-"""Threshold of new objects for the garbage collector. Maps and verdicts are hundreds of thousands
-of long-lived objects; with the default of 700, collection takes a tenth of a merge of 200 maps, and
-finds 2 MB."""
+MOST_SHOWN = 8
+"""Ambiguous pairs, sites, and runs of a site that are printed: the end of a merge fits on a screen
+of 24 lines; `list`, `explain` and --verbose tell more."""
 
 OVERWRITE = "give this merge another --output NAME, or overwrite with --replace"
 
@@ -122,7 +113,6 @@ def merge(
         place.check_merge()
     if how.method == "robust":
         paper.refuse()
-    where.check()
     if where.shard is not None:
         if not everything or runs or how.method != "robust" or as_json:
             raise UsageError("--shard goes with --all and the robust method, and without --json")
@@ -133,26 +123,15 @@ def merge(
             )
         match_share(place, how.settings(paper).robust, where)
         return
-    broken: list[str] = []
-    moved: list[str] = []
-    gc.set_threshold(GARBAGE)
     with place.held():
         chosen = place.chosen_runs(runs or [], everything)
-        documents = contents(place, chosen)
-        if stands(place, state_of(place, documents, (how, paper))):
-            detail("nothing is new: the merge of these maps lies there")
-            result = place.read_result()
-        else:
-            settings = how.settings(paper)
-            last = None if replace_last else _merged_before(place, chosen, everything)
-            maps, broken = read_maps(place, chosen)
-            before = {} if last is None else last.graph.home
-            if lost := before.keys() & set(broken):
-                raise DataError(_leaves_out(place, before, lost, ", without a readable map"))
-            last = last or last_merge(place)
-            result, moved = made(place, maps, documents, settings, last, where)
-            if not broken:
-                remember(place, state_of(place, documents, (how, paper)))
+        last = None if replace_last else _merged_before(place, chosen, everything)
+        maps, broken = read_maps(place, chosen)
+        before = {} if last is None else last.home
+        if lost := before.keys() & set(broken):
+            raise DataError(_leaves_out(place, before, lost, ", without a readable map"))
+        last = last or last_merge(place)
+        result, moved = made(place, maps, how.settings(paper), last, where)
         runs_of = counted(sum(len(c.poses) for c in result.components), "run")
         told = "; ".join([f"{place.merge}: {runs_of}, {describe_pairs(result)}", *moved])
         note(place, "merge", f"{told}{by_settings(place)}")
@@ -165,7 +144,7 @@ def merge(
         raise typer.Exit(1)
 
 
-def _merged_before(place: Workspace, chosen: list[str], everything: bool) -> MergedDocument | None:
+def _merged_before(place: Workspace, chosen: list[str], everything: bool) -> MergeResult | None:
     """The merge that will be overwritten, if any.
 
     UsageError if it has others than the chosen ones, or if no merge is there but something else;
@@ -175,14 +154,15 @@ def _merged_before(place: Workspace, chosen: list[str], everything: bool) -> Mer
     if not path.exists():
         return None
     try:
-        last = read_merged(path)
+        last = place.read_result()
     except DocumentError as error:
         if not everything or place.merge != MERGED:
             raise UsageError(f"{error}; {OVERWRITE}") from error
         warn(f"{error}; it is overwritten")
         return None
-    before = last.graph.home
-    if lost := {run for run in before.keys() - set(chosen) if not _was_piece(place, run, chosen)}:
+    before = last.home
+    # Pieces (RUN#2) go where the log of their run, ingested again, gives them no more.
+    if lost := {run for run in before if not {run, run.partition("#")[0]} & {*chosen}}:
         why = ", without a map (their logs, ingested again, make them)" if everything else ""
         raise UsageError(_leaves_out(place, before, lost, why))
     return last
@@ -194,16 +174,6 @@ def _leaves_out(place: Workspace, before: Collection[str], lost: set[str], why: 
         f"{place.merged_json}: is the merge of {counted(len(before), 'run')}, and this one leaves "
         f"out {listed(sorted(lost))}{why}; {OVERWRITE}"
     )
-
-
-def _was_piece(place: Workspace, run: str, chosen: Collection[str]) -> bool:
-    """Whether a run was a piece (RUN#2) of a chosen one whose log, ingested again, gives it no
-    more."""
-    whole, mark, _ = run.rpartition("#")
-    if not mark or whole not in chosen:
-        return False
-    gives = place.ingested(whole).runs
-    return bool(gives) and run not in gives
 
 
 def _show(result: MergeResult, place: Workspace) -> None:
@@ -235,11 +205,11 @@ def _show_pairs(result: MergeResult) -> None:
         for pair in pairs.get(Standing.JOINED, ()):
             say_folded(f"  {pair.a} … {pair.b}: {pair.reason.partition(ALONE)[0]}")
     ambiguous = sorted(pairs.get(Standing.AMBIGUOUS, ()), key=lambda pair: -pair.evidence_bits)
-    for pair in ambiguous if is_verbose() else ambiguous[:MOST_AMBIGUOUS]:
+    for pair in ambiguous if is_verbose() else ambiguous[:MOST_SHOWN]:
         say_folded(f"  {pair.a} ? {pair.b}: ambiguous: {_open_because(pair)}")
-    if len(ambiguous) > MOST_AMBIGUOUS and not is_verbose():
-        say(f"  and {len(ambiguous) - MOST_AMBIGUOUS} more ambiguous: --verbose lists them")
-    advice = next((pair for pair in ambiguous[:MOST_AMBIGUOUS] if pair.advice), None)
+    if len(ambiguous) > MOST_SHOWN and not is_verbose():
+        say(f"  and {len(ambiguous) - MOST_SHOWN} more ambiguous: --verbose lists them")
+    advice = next((pair for pair in ambiguous[:MOST_SHOWN] if pair.advice), None)
     if advice is not None:
         say_folded(f"  to settle {advice.a} ? {advice.b}: {advice.advice}")
 
@@ -255,31 +225,29 @@ def _show_sites(result: MergeResult, place: Workspace) -> None:
     """Print a line for each site of several runs, the largest first, and one for runs that stand
     alone."""
     sites = sorted((c for c in result.components if len(c.poses) > 1), key=lambda c: -len(c.poses))
-    home = home_of(sites[:MOST_SITES])
+    home = home_of(sites[:MOST_SHOWN])
     weakest = weakest_links(result.verdicts, home)
-    for site in sites[:MOST_SITES]:
-        names = listed(sorted(site.poses), MOST_RUNS)
+    for site in sites[:MOST_SHOWN]:
+        names = listed(sorted(site.poses), MOST_SHOWN)
         runs = counted(len(site.poses), "run")
         say_folded(f"site {site.name}: {runs}: {names}{weakest.get(site.id, '')}")
-    if len(sites) > MOST_SITES:
-        more = counted(len(sites) - MOST_SITES, "more site")
+    if len(sites) > MOST_SHOWN:
+        more = counted(len(sites) - MOST_SHOWN, "more site")
         say(f"and {more}: {place.call('list')}")
     alone = [c.alone for c in result.components if len(c.poses) == 1]
     if alone:
-        say_folded(f"alone: {listed(sorted(alone), MOST_RUNS)}")
+        say_folded(f"alone: {listed(sorted(alone), MOST_SHOWN)}")
 
 
 def _next_steps(result: MergeResult, place: Workspace) -> Iterator[str]:
-    """What to do next: give names to sites that have none but a run's; record what joins more;
-    read the report; export."""
-    given, runs = place.sites(), []
+    """What to do next: name a site that has the name of a run only; record what joins more; read
+    the report; export."""
+    given = place.sites()
     for site in result.components:
         run = site.name.removeprefix("site-")
-        if site.name not in given and site.name != run and run in site.poses:
-            runs.append(run)
-    if runs:
-        words = [word for run in runs[:MOST_SITES] for word in (run, "NAME")]
-        yield f"name {'a site' if len(runs) == 1 else 'sites'}: {place.call('site', *words)}"
+        if site.name not in {run, *given} and run in site.poses:
+            yield f"name a site: {place.call('site', run, 'NAME')}"
+            break
     if open_ := result.standings()[Standing.AMBIGUOUS]:
         pairs = f"{counted(open_, 'pair')} {'is' if open_ == 1 else 'are'} open"
         yield f"{pairs}; what to record to settle most: {place.call('next', *place.of_merge)}"

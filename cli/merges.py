@@ -9,18 +9,17 @@ from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
-from ..merge.document import read_merged, write_merged
-from ..merge.merged_schema import MergedDocument
+from ..merge.document import write_merged
 from ..merge.result import MergeResult, fused_of, pairs_of
-from ..merge.sites import Origin, SiteHistory, site_names
+from ..merge.sites import Origin, SiteHistory, moved_sites, site_names
 from ..topology.errors import DataError, DocumentError
 from ..topology.files import write_together
 from ..topology.topomap import TopoMap
 from ..topology.wording import counted
 from ..viz.pages import describe_pairs
 from .matching import MatchOptions, kept_results, matching, read_maps, settings_of
-from .output import progress, say, warn
-from .unchanged import changed_since, contents
+from .output import progress, say, say_folded, warn
+from .stale import contents
 from .workspace import MERGED, Workspace
 
 if TYPE_CHECKING:  # what takes a second to load
@@ -30,17 +29,16 @@ if TYPE_CHECKING:  # what takes a second to load
 def made(
     place: Workspace,
     maps: list[TopoMap],
-    documents: Mapping[str, str | None],
     settings: MergeSettings,
-    last: MergedDocument | None,
+    last: MergeResult | None,
     where: MatchOptions = MatchOptions(),  # noqa: B008 - frozen
     new: Mapping[str, str] = MappingProxyType({}),
 ) -> tuple[MergeResult, list[str]]:
     """Merge maps and write the files of the merge; and what became of the sites of the last one and
-    of the numbers of their junctions. documents: the `contents` of the runs, by which later changes
-    of maps are recognised; new: new names of runs since the last merge. The caller holds the
-    workspace's lock."""
+    of the numbers of their junctions. last: the merge whose sites keep their names; new: new names
+    of runs since then. The caller holds the workspace's lock."""
     from ..merge.merging import merge_maps
+    from ..viz.merged_recording import write_merged_recording  # which loads rerun
 
     runs = [m.run for m in maps]
     kept = kept_results(place, settings.robust)
@@ -51,23 +49,15 @@ def made(
     if settings.method == "robust" and runs == place.runs():
         kept.settle()
     # A run alone is a site of its own name, old or new.
-    sites = {} if last is None else last.graph.sites
+    sites = {} if last is None else last.sites
     before = {new.get(run, run): new.get(site, site) for run, site in sites.items()}
-    result, moved = _with_sites(place, result, maps, before)
+    result = _with_sites(place, result, maps, before)
+    moved = moved_sites(before, result.sites)
     if last is not None and place.merged_json.exists():
-        now, then = fused_of(result.fused.members), fused_of([n.members for n in last.nodes])
+        now, then = fused_of(result.fused.members), fused_of(last.fused.members)
         if any(now.get((new.get(run, run), v), k) != k for (run, v), k in then.items()):
             moved.append("junctions of sites have other numbers now; draw and export them again")
-    merged = {run: documents[run] for run in runs}
-    result = replace(result, info={**result.info, "maps": merged})
-    _write(place, result, maps)
-    return result, moved
-
-
-def _write(place: Workspace, result: MergeResult, maps: Sequence[TopoMap]) -> None:
-    """Write the document and the recording of a merge."""
-    from ..viz.merged_recording import write_merged_recording  # which loads rerun
-
+    result = replace(result, info={**result.info, "maps": contents(place, runs)})
     with progress("writing", 0):
         write_together(
             {
@@ -75,43 +65,42 @@ def _write(place: Workspace, result: MergeResult, maps: Sequence[TopoMap]) -> No
                 place.merged_rrd: partial(write_merged_recording, result=result, maps=maps),
             }
         )
+    return result, moved
 
 
 def made_again(
-    place: Workspace, affected: Collection[str], new: Mapping[str, str | None] | None = None
+    place: Workspace,
+    affected: Collection[str],
+    new: Mapping[str, str] = MappingProxyType({}),
 ) -> None:
     """Repeat the merges that had one of the affected runs, each with the runs that still exist;
     new: new names of runs. The caller holds the workspace's lock."""
     for each in place.merges():
-        _repeat(each, affected, {run: name for run, name in (new or {}).items() if name})
+        _repeat(each, affected, new)
 
 
 def _repeat(place: Workspace, affected: Collection[str], new: Mapping[str, str]) -> None:
     """Repeat one merge; see `made_again`."""
     try:
-        document = read_merged(place.merged_json)
-        graph, settings = document.graph, settings_of(place, document)
+        last = place.read_result()
+        settings = settings_of(place, last)
     except DocumentError as error:
-        how = f"topobatch merge … --output {place.merge} --replace"
-        how = place.call("merge", "--all") if place.merge == MERGED else how
-        warn(f"{error}; merge again: {how}")
+        warn(str(error))
         return
-    if not graph.home.keys() & set(affected):
+    if not last.home.keys() & set(affected):
         return
-    runs = sorted({new.get(run, run) for run in graph.home} & set(place.runs()))
+    runs = sorted({new.get(run, run) for run in last.home} & set(place.runs()))
     if not runs:
         place.merged_json.unlink()
         place.merged_rrd.unlink(missing_ok=True)
         say(f"{place.merged_json}: removed; none of its runs is left")
         return
-    documents = contents(place, runs)
     maps, _ = read_maps(place, runs)
-    about = _about(settings, new, runs)
-    result, moved = made(place, maps, documents, about, document, new=new)
+    result, moved = made(place, maps, _about(settings, new, runs), last, new=new)
     name = "" if place.merge == MERGED else f", {place.merge}"
     say(f"merged again{name}: {counted(len(maps), 'run')}, {describe_pairs(result)}")
     for each in moved:
-        say(each)
+        say_folded(each)
 
 
 def _about(settings: MergeSettings, new: Mapping[str, str], runs: Collection[str]) -> MergeSettings:
@@ -124,33 +113,12 @@ def _about(settings: MergeSettings, new: Mapping[str, str], runs: Collection[str
     return replace(settings, paper=replace(settings.paper, meetings=kept))
 
 
-def named_again(place: Workspace) -> None:
-    """Call the sites of all merges as the workspace remembers them now. Nothing is matched, unless
-    a merge cannot be read or its maps are others by now: that one is repeated. The caller holds the
-    workspace's lock."""
-    for each in place.merges():
-        try:
-            result = each.read_result()
-        except DocumentError:
-            _repeat(each, place.runs(), {})  # or say that it cannot be
-            continue
-        before = {run: c.site or "" for c in result.components for run in c.poses}
-        known = result.info.get("maps") or {}
-        if before.keys() - known.keys() or changed_since(place, known, [*before]):
-            _repeat(each, before, {})
-            continue
-        maps, _ = read_maps(each, sorted(before))
-        renamed, _ = _with_sites(each, result, maps, before)
-        if [c.name for c in renamed.components] != [c.name for c in result.components]:
-            _write(each, renamed, maps)
-
-
-def last_merge(place: Workspace) -> MergedDocument | None:
+def last_merge(place: Workspace) -> MergeResult | None:
     """The last merge of this name; where there is none that can be read, the usual one."""
     for each in (place, Workspace(place.root)):
         try:
-            if each.merged_json.is_file():
-                return read_merged(each.merged_json)
+            if (result := each.last_result()) is not None:
+                return result
         except DataError:
             continue  # who reads it for its own sake is told
     return None
@@ -158,9 +126,8 @@ def last_merge(place: Workspace) -> MergedDocument | None:
 
 def _with_sites(
     place: Workspace, result: MergeResult, maps: Sequence[TopoMap], before: Mapping[str, str]
-) -> tuple[MergeResult, list[str]]:
-    """The merge with the names of its sites, and what became of those of the last one. before: the
-    site of every run then."""
+) -> MergeResult:
+    """The merge with the names of its sites. before: the site of every run in the last one."""
     known = {run: site for run, site in before.items() if site}
     origins = {}
     for m in maps:
@@ -168,11 +135,11 @@ def _with_sites(
         times, log = m.observation_time_ns, place.ingested(m.run).log
         folder = (log or "").replace("\\", "/").split("/")[:-1]
         origins[m.run] = Origin(tuple(folder), int(times.min()) if len(times) else None)
-    names, moved = site_names(
+    names = site_names(
         [sorted(c.poses) for c in result.components],
         SiteHistory(place.sites(), known),
         origins,
         {MERGED, *place.runs(), *(each.merge for each in place.merges())},
     )
     named = zip(result.components, names, strict=True)
-    return replace(result, components=tuple(replace(c, site=name) for c, name in named)), moved
+    return replace(result, components=tuple(replace(c, site=name) for c, name in named))

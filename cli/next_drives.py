@@ -10,7 +10,7 @@ from ..merge.drive import Drive, Undriven, drive_to_document
 from ..merge.drives import drives, never_driven
 from ..merge.result import MergeResult, Standing
 from ..topology.errors import UsageError
-from ..topology.wording import counted, listed
+from ..topology.wording import counted
 from ..viz.exports.drives import drives_csv, drives_geojson
 from .draw import quiet_fonts, walled
 from .options import HereWithMerge, JsonOption, ThemeOption, argument, option, verb
@@ -19,9 +19,6 @@ from .workspace import Workspace
 
 PLANS, PICTURES = (".csv", ".geojson"), (".svg", ".png")
 """Suffixes of files of waypoints, and of pictures."""
-
-MOST_JUNCTIONS = 12
-"""Up to so many junctions with a branch that nobody drove are named for each of several sites."""
 
 
 @verb
@@ -62,11 +59,8 @@ def next_drives(
         if checked_output(path).suffix.lower() not in PLANS + PICTURES:
             raise UsageError(f"{path}: a plan's name ends in .svg, .png, .csv or .geojson")
     result = place.read_result()
-    names = {c.name: c.id for c in result.components}
-    if site is not None and site not in names:
-        raise place.no_site(site, list(names))
-    found = drives(result, most, None if site is None else names[site])
-    shown = {*names} if site is None else {site}
+    found = drives(result, most, place.component(result, site))
+    shown = {c.name for c in result.components} if site is None else {site}
     left = [] if found else [b for b in never_driven(result) if b.site in shown]
     plans = {p: _plan(p, found, left, result, shown, place, theme) for p in output or ()}
     write_files(plans)
@@ -79,18 +73,11 @@ def next_drives(
     for line in _lines(found, result, place) if found else ():
         say(line)
     for path in output or ():
-        empty = "" if found else _IN_AN_EMPTY_PLAN.get(path.suffix.lower(), "")
-        say(f"{path}{empty}")
+        say(f"{path}")
     if not output:
         named = () if site is None else (site,)
         plan = place.call("next", *named, *place.of_merge, "-o", "plan.svg")
         say(f"on a map with numbers: {plan} (waypoints: plan.csv, plan.geojson)")
-
-
-_IN_AN_EMPTY_PLAN = {
-    ".csv": "  (no waypoints, as no drive is proposed)",
-    ".geojson": "  (the branches that nobody drove, as no drive is proposed)",
-}
 
 
 def _lines(found: Sequence[Drive], result: MergeResult, place: Workspace) -> list[str]:
@@ -124,10 +111,7 @@ def nothing_worth(result: MergeResult, shown: Collection[str], place: Workspace)
         return [why, "every branch was driven"]
     out = [why, "branches that nobody drove, which would complete a map, are at:"]
     for name, own in sorted(ways.items()):
-        told = len(own) <= MOST_JUNCTIONS or len(shown) == 1
-        names = listed([str(v) for v in own], len(own))
-        which = f": {names}" if told else f" ({place.call('next', name, *place.of_merge)})"
-        out.append(f"  {name}: {counted(len(own), 'junction')}{which}")
+        out.append(f"  {name}: {counted(len(own), 'junction')}: {', '.join(map(str, own))}")
     return out
 
 

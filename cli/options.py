@@ -11,7 +11,6 @@ import os
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
-from difflib import get_close_matches
 from functools import wraps
 from inspect import Parameter, Signature, isfunction, signature
 from pathlib import Path
@@ -23,7 +22,6 @@ from typer.exceptions import TyperException
 from ..ingest.remote.path import LogPath, log_path
 from ..topology.errors import DocumentError, LogError, TopobatchError, UsageError
 from ..topology.files import read_bytes
-from .output import warn
 from .workspace import MERGED, USUAL, Workspace
 
 if TYPE_CHECKING:  # what takes a second to load
@@ -136,8 +134,9 @@ SiteOption = Annotated[
 
 ComponentOption = Annotated[
     int | None,
-    option("--component N", "Only this component of the merged map, by its number.", min=0),
+    option("--component N", "Only this component, by its number.", min=0, hidden=True),
 ]
+"""How scripts named a site before sites had names."""
 
 FalseMergeRate = Annotated[
     float | None,
@@ -273,15 +272,11 @@ class ReadOptions:
         return ReadSettings(laser_pose=pose, slices=SliceSettings(band), strict=strict, **plain)
 
     def logs(self, named: Sequence[str]) -> tuple[list[LogPath], list[tuple[LogPath, LogError]]]:
-        """The logs at the named places, and the places without any, each with the reason. Warns of
-        logs that are to be unpacked first."""
+        """The logs at the named places, and the places without any, each with the reason."""
         from .run_logs import logs_of
 
         places = [log_path(name, allow_scan=self.allow_scan) for name in named]
-        logs, missing, warnings = logs_of(places, separate=self.separate)
-        for each in warnings:
-            warn(each)
-        return logs, missing
+        return logs_of(places, separate=self.separate)
 
 
 @dataclass(frozen=True, slots=True)
@@ -341,9 +336,7 @@ def settings_of(place: Workspace) -> dict[str, str]:
     known = {_option(name): name for name in NAMES}
     for key in found:
         if key not in known:
-            near = "".join(f"; did you mean {k!r}?" for k in get_close_matches(key, known, 1))
-            there = near or f"; there are: {', '.join(known)}"
-            raise DocumentError(f"{path}: knows no {key!r}{there}")
+            raise DocumentError(f"{path}: knows no {key!r}; there are: {', '.join(known)}")
     return {known[key]: _text(value, f"{path}: {key}") for key, value in found.items()}
 
 
@@ -370,12 +363,12 @@ def settings_text(settings: Mapping[str, Any]) -> str:
     return "".join(f"{_option(name)} = {text}\n" for name, text in texts.items())
 
 
-def told_settings(settings: Mapping[str, Any]) -> str:
-    """The settings in one line; "" without any."""
-    return ", ".join(f"{_option(name)} = {value}" for name, value in settings.items())
-
-
 def by_settings(place: Workspace) -> str:
     """What follows the line of a call in the journal: the settings that it could take."""
     told = told_settings(settings_of(place))
     return f"; {place.settings_toml.name}: {told}" if told else ""
+
+
+def told_settings(settings: Mapping[str, Any]) -> str:
+    """The settings in one line; "" without any."""
+    return ", ".join(f"{_option(name)} = {value}" for name, value in settings.items())

@@ -28,9 +28,8 @@ import typer
 
 from ..topology.errors import DataError, UsageError
 
-WIDTH, NARROWEST, WIDEST = 79, 40, 120
-"""Line width of sentences where no terminal tells its own, and its limits: longer lines are hard to
-read."""
+WIDTH = 79
+"""Line width of sentences where no terminal tells its own."""
 
 COLOURS = {
     "merged": "green",
@@ -44,8 +43,7 @@ COLOURS = {
 _VERDICT = re.compile(rf"(?<![\w./-])(?<!not )({'|'.join(COLOURS)})(?![\w./-])")
 
 LONGEST_LINE = 8000
-LONGEST_CELL = 200
-"""Characters; names can have millions, and a table's cells pad every row."""
+"""Characters; names can have millions."""
 
 
 @dataclass(slots=True)
@@ -98,16 +96,9 @@ def painted(text: str) -> str:
     return _VERDICT.sub(lambda found: styled(found[0], fg=COLOURS[found[0]]), text)
 
 
-def is_terminal() -> bool:
-    """Whether the output is read on a terminal, not by a program or from a file."""
-    return sys.stdout.isatty()
-
-
 def width() -> int:
-    """Width of lines: that of the terminal, within limits."""
-    if not sys.stdout.isatty():
-        return WIDTH
-    return min(max(shutil.get_terminal_size((WIDTH + 1, 24)).columns - 1, NARROWEST), WIDEST)
+    """Width of lines: that of the terminal."""
+    return shutil.get_terminal_size().columns - 1 if sys.stdout.isatty() else WIDTH
 
 
 def say(text: str = "") -> None:
@@ -193,7 +184,7 @@ def say_text(text: str) -> None:
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]], indent: str = "  ") -> list[str]:
     """Lines of a table with left-aligned columns."""
-    shown = [[plain(cell, LONGEST_CELL) for cell in row] for row in [header, *rows]]
+    shown = [[plain(cell) for cell in row] for row in [header, *rows]]
     widths = [max(len(row[i]) for row in shown) for i in range(len(header))]
     return [
         (indent + "  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True))).rstrip()
@@ -230,6 +221,11 @@ class Advance(Protocol):
 
     def __call__(self, done: int, words: str = "", doing: str = "", kept: int = 0) -> None:
         """Show it."""
+
+
+def megabytes(size: float) -> str:
+    """A number of bytes in megabytes, without the unit."""
+    return f"{size / 1e6:,.1f}"
 
 
 def counting(advance: Callable[[int], object]) -> Callable[[int], None]:
@@ -274,14 +270,12 @@ def progress(label: str, total: int, unit: str = "") -> Iterator[Advance]:
     def advance(done: int, words: str = "", doing: str = "", kept: int = 0) -> None:
         known = words
         if unit == "bytes" and not known and not doing:
-            known = f"{done / 1e6:,.0f} of {total / 1e6:,.0f} MB"
+            known = f"{megabytes(done)} of {megabytes(total)} MB"
         elif unit and not known and not doing:
             known = f"{done:,} of {total:,} {unit}"
-        known += f", {kept:,} of them kept" if kept and known and not words else ""
-        # By the fresh work alone the time left is told.
-        most = total - kept if total > kept else None
-        doing = doing or label
-        bar.update(task, total=most, completed=done - kept, told=known, description=doing)
+        # The time left goes by the fresh work alone.
+        bar.update(task, total=max(total - kept, 0) or None, completed=done - kept)
+        bar.update(task, told=known, description=doing or label)
 
     with bar:
         _call.bar = bar

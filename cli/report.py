@@ -5,18 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from importlib.metadata import version
-from itertools import chain
 from pathlib import Path
 from platform import python_version
 from typing import Annotated
 
 import typer
 
-from ..merge.change import Change
-from ..merge.changes import changes
+from ..merge.changes import all_changes
 from ..merge.decision import Decision
 from ..merge.drives import drives
-from ..merge.merged_schema import MergedDocument
 from ..merge.result import MergeResult, Standing
 from ..topology.errors import UsageError
 from ..topology.topomap import TopoMap
@@ -25,12 +22,9 @@ from .matching import kept_results, settings_of
 from .next_drives import nothing_worth
 from .options import HereWithMerge, argument, verb
 from .output import Advance, begin, checked_output, complain, progress, say, write_files
-from .unchanged import changed_since, told_changed
+from .stale import changed_since, told_changed
 from .version import VERSION
 from .workspace import MERGED, Workspace
-
-MOST_DRIVES = 3
-"""Drives to record next: after one of them all others are worth another look."""
 
 MOST_EXPLAINED = 120
 """Pairs with their evidence line by line: a tenth of a second each. Of the others the page says
@@ -67,7 +61,7 @@ def report(
         raise place.no_maps()
     from ..viz.report import Report, report_page  # which loads bokeh
 
-    result = place.read_result() if place.merged_json.is_file() else None
+    result = place.last_result()
     begin(f"reading {counted(len(place.runs()), 'map')} for {page}")
     with progress("reading maps", 0) as advance:
         maps, errors = place.read_maps(place.runs())
@@ -78,16 +72,16 @@ def report(
         new = changed_since(place, result.info.get("maps") or {}, list(maps)) if result else []
         notes += [f"Merge again: {told_changed(new)}"] if new else []
         # What is worked out again from the maps that were merged.
-        document = place.read_merged() if result is not None and not notes else None
+        merged = result if not notes else None
         home = {c.id: c.name for c in result.components} if result else {}
-        decisions = _decisions(place, result, document, maps, advance) if result else {}
-        changed = _changes(result, maps) if result and document else []
+        decisions = _decisions(place, merged, maps, advance) if merged else {}
+        changed = all_changes(merged, maps) if merged else []
         for pair, one in decisions.items():
             between = [told for told in changed if told.sure and told.differs_for(*pair)]
             words = [told.words(home[told.component])[0] for told in between]
             decisions[pair] = replace(one, notes=(*one.notes, *words))
         advance(0, doing="drawing the page")
-        found = drives(result, MOST_DRIVES) if result else ()
+        found = drives(result) if result else ()
         sites = {c.name for c in result.components if len(c.poses) > 1} if result else set()
         lines = nothing_worth(result, sites, place) if result and not found else ()
         html = report_page(
@@ -106,7 +100,7 @@ def report(
                 changed,
                 decisions=decisions,
                 where=place.where,
-                as_merged=document is not None,
+                as_merged=merged is not None,
             )
         )
     write_files({page: html})
@@ -117,17 +111,9 @@ def report(
         raise typer.Exit(1)
 
 
-def _changes(result: MergeResult, maps: Mapping[str, TopoMap]) -> list[Change]:
-    """What changed between the runs of every site."""
-    several = (c for c in result.components if len(c.poses) > 1)
-    found = (changes(result, c.id, {run: maps[run] for run in c.poses}) for c in several)
-    return list(chain.from_iterable(found))
-
-
 def _decisions(
     place: Workspace,
     result: MergeResult,
-    document: MergedDocument | None,
     maps: Mapping[str, TopoMap],
     advance: Advance,
 ) -> dict[tuple[str, str], Decision]:
@@ -135,13 +121,13 @@ def _decisions(
     the merged ones with the least evidence."""
     from ..merge.robust.explained import Merge, explain
 
-    if document is None or document.graph.method == "paper":
+    if result.info.get("method") == "paper":
         return {}
     open_ = [v for v in result.verdicts if v.standing in (Standing.AMBIGUOUS, Standing.KEPT_OUT)]
     merged = [v for v in result.verdicts if v.standing is Standing.MERGED]
     open_.sort(key=lambda v: (-v.evidence_bits, v.a, v.b))
     merged.sort(key=lambda v: (v.evidence_bits, v.a, v.b))
-    settings = settings_of(place, document).robust
+    settings = settings_of(place, result).robust
     kept = kept_results(place, settings)
     merge = Merge.of(result, maps.__getitem__, settings, place.locks(), kept)
     chosen = [*open_, *merged][:MOST_EXPLAINED]

@@ -18,7 +18,7 @@ import numpy as np
 import typer
 
 from ..merge.component_map import component_map
-from ..merge.result import MergeResult, home_of
+from ..merge.result import home_of
 from ..merge.transfer import (
     WITHIN_SIGMAS,
     MatchedJunctions,
@@ -28,15 +28,13 @@ from ..merge.transfer import (
 )
 from ..merge.transfer import transfer as carried
 from ..topology.errors import DataError, UsageError
+from ..topology.files import read_bytes
 from ..topology.map_schema import FARTHEST_M
 from ..topology.se2 import wrap
 from ..topology.wording import quoted_formula
 from .options import HereWithMerge, QuietOption, argument, complete_run, option, verb
 from .output import checked_output, complain, say, say_text, show, write_files
 from .workspace import MERGED, Workspace
-
-MOST_LINES = 20
-"""Lines that are printed at most."""
 
 
 @verb
@@ -97,10 +95,8 @@ def transfer(
         complain(f"{places}: nothing was carried: {why}")
         raise typer.Exit(1)
     left = [(p, row["note"]) for p, row in zip(known, rows, strict=True) if row["note"]]
-    for p, note in left[:MOST_LINES]:
+    for p, note in left:
         complain(f"{places}:{p.line}: {p.cells['name']}: not carried: {note}")
-    if len(left) > MOST_LINES:
-        complain(f"… and {len(left) - MOST_LINES} more places, by their notes")
     if left:
         raise typer.Exit(1)
 
@@ -151,7 +147,9 @@ def _matched(place: Workspace, source: str, target: str) -> tuple[MatchedJunctio
     if to_site and target in names.values() and target != names[source]:
         return None, f"{source} is of the site {names[source]}, not of {target}"
     if len({home[run] for run in named}) > 1:
-        return None, f"{source} and {target} are not merged: {_verdict(result, source, target)}"
+        found = (v for v in result.verdicts if {v.a, v.b} == {source, target})
+        why = next((f": {v.verdict}, {v.reason}" for v in found), "")
+        return None, f"{source} and {target} are not merged{why}"
     maps = place.maps_as_merged(result, home[source], named)
     if len(named) == 2:
         matched = junctions_of_runs(result, maps, source, target)
@@ -164,15 +162,6 @@ def _matched(place: Workspace, source: str, target: str) -> tuple[MatchedJunctio
         site = "" if to_site else f"; --to {shlex.quote(names[source])} carries to the map of both"
         return None, f"{why}{site}"
     return matched, ""
-
-
-def _verdict(result: MergeResult, a: str, b: str) -> str:
-    found = (v for v in result.verdicts if {v.a, v.b} == {a, b})
-    return next((f"{v.verdict}, {v.reason}" for v in found), "nothing is said of them")
-
-
-MOST_BYTES = 4 << 20
-"""Largest table: a site has some hundreds of places."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,10 +179,7 @@ class Place:
 def read_places(path: Path) -> tuple[list[str], list[Place]]:
     """The columns and the places of a CSV file; DataError with the line number if it is
     invalid."""
-    with path.open("rb") as file:
-        raw = file.read(MOST_BYTES + 1)  # devices have a size of 0, and no end
-    if len(raw) > MOST_BYTES:
-        raise DataError(f"{path}: is larger than {MOST_BYTES >> 20} MiB; not a table of places")
+    raw = read_bytes(path.resolve())
     try:
         reader = csv.DictReader(io.StringIO(raw.decode("utf-8-sig"), newline=""), strict=True)
         names = [_unquoted(name.strip()) for name in reader.fieldnames or ()]

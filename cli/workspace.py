@@ -24,7 +24,7 @@ from ..merge.locks import (
     locks_from_document,
     locks_to_document,
 )
-from ..merge.merged_schema import MergedDocument
+from ..merge.merged_schema import MergedDocument, is_site_name
 from ..merge.result import MergeResult
 from ..merge.sites import sites_from_document, sites_to_document
 from ..topology.document import read_map
@@ -47,10 +47,7 @@ MERGED = "merged"
 USUAL = Path("topobatch-workspace")
 """The folder where none is named."""
 
-NAME_BYTES = 200
-"""Longest run name: file names have 255 bytes for it and suffixes."""
-
-FOLDERS = ("maps", "exports", "cache", "cache/ingest", "cache/merged", "cache/exports")
+FOLDERS = ("maps", "exports", "cache", "cache/ingest")
 FILES = (".lock", "cache/kept.sqlite", "cache/kept.sqlite-journal")
 """What the program opens or clears without looking."""
 
@@ -106,16 +103,6 @@ class Workspace:
         return self.merged_json.with_name(f"{self.merge}.rrd")
 
     @property
-    def merge_record(self) -> Path:
-        """The record of how the merge was made; may be deleted at any time."""
-        return self.root / "cache" / "merged" / self.merged_json.name
-
-    @property
-    def export_record(self) -> Path:
-        """The record of the files that exports of the merge wrote; may be deleted at any time."""
-        return self.root / "cache" / "exports" / self.merged_json.name
-
-    @property
     def kept(self) -> Path:
         """The database of results of merging; may be deleted at any time."""
         return self.root / "cache" / "kept.sqlite"
@@ -150,6 +137,12 @@ class Workspace:
     def ingest_record(self, run: str) -> Path:
         """The record of how a run's map was made; may be deleted at any time."""
         return self.root / "cache" / "ingest" / f"{plain_name(run)}.json"
+
+    def remove_run(self, run: str) -> None:
+        """Remove the files of a run, its map last, so that an interrupted call can be repeated."""
+        made = (self.map_rrd(run), self.map_views(run), self.map_json(run))
+        for path in (self.ingest_record(run), *made):
+            path.unlink(missing_ok=True)
 
     # Calls of the command, for messages
 
@@ -210,7 +203,7 @@ class Workspace:
         merge = self if what == MERGED else self.merge_named(what)
         if merge is not None:
             return Named(merge)
-        if self.merged_json.is_file() and what in self.read_merged().graph.sites.values():
+        if (result := self.last_result()) and what in result.sites.values():
             return Named(self, site=what)
         raise self.unknown([what], "run, site, merge or pair A:B named")
 
@@ -238,22 +231,21 @@ class Workspace:
             raise UsageError(f"{run!r} cannot name a run: a merge is called so")
 
     def component(
-        self, result: MergeResult, number: int | None = None, site: str | None = None
+        self, result: MergeResult, site: str | None, number: int | None = None
     ) -> int | None:
-        """The component of a number, or of a site's name; None if neither is given. UsageError if
+        """The component that is a site, or has a number; None if neither is given. UsageError if
         there is none, or both are given."""
-        if number is not None and site is not None:
+        if site is not None and number is not None:
             raise UsageError("name a site or a --component, not both")
-        if number is not None and number not in {c.id for c in result.components}:
-            there = listed([str(c.id) for c in result.components]) or "none"
-            raise UsageError(
-                f"{self.merged_json}: there is no component {number}; there are: {there}"
-            )
-        if site is None:
+        ids = {c.name: c.id for c in result.components}
+        if site is None and number in (None, *ids.values()):
             return number
-        ids = {c.site: c.id for c in result.components if c.site}
-        if site not in ids:
-            raise self.no_site(site, list(ids))
+        if site is None or site not in ids:
+            named = f"component {number}" if site is None else f"site {site!r}"
+            raise UsageError(
+                f"{self.merged_json}: there is no {named}{_meant(site or '', [*ids])} there are: "
+                f"{listed(sorted(ids)) or 'none'}"
+            )
         return ids[site]
 
     # What to say where something is missing
@@ -263,30 +255,20 @@ class Workspace:
         known = self.runs()
         if not known:
             return self.no_maps()
-        parts = {part for name in names for part in name.split(":")} - set(known)
-        if "site" in what and self.merged_json.is_file():
-            known = sorted({*self.read_merged().graph.sites.values()} - {*known}) + known
-        meant = _meant(sorted(parts), known)
-        if is_workspace(Path(names[0])):
-            meant = f"; did you mean --workspace {names[0]}?"
+        if "site" in what and (result := self.last_result()):
+            known = sorted({*result.sites.values()} - {*known}) + known
+        strange = [part for part in ":".join(names).split(":") if part not in known]
+        meant = _meant(strange[0], known) if strange else ";"
         return UsageError(
             f"no {what} {listed(names)} in {self.root}{meant} there are: {listed(known)}"
-        )
-
-    def no_site(self, site: str, there: Sequence[str]) -> UsageError:
-        """What to say where a site is named that the merge does not have."""
-        meant, known = _meant([site], there), listed(sorted(there)) or "none"
-        return UsageError(
-            f"{self.merged_json}: there is no site {site!r}{meant} there are: {known}"
         )
 
     def no_maps(self) -> DataError:
         """What to say of a workspace without maps, or of none."""
         told = "holds no maps yet" if self.root.is_dir() else "there is no such workspace"
-        here = " (this folder is one: --workspace .)" if is_workspace(Path()) else ""
         return DataError(
             f"{self.root}: {told}; make maps with `topobatch ingest LOG…`, or name another "
-            f"--workspace{here}"
+            "--workspace"
         )
 
     def require(self) -> None:
@@ -381,6 +363,10 @@ class Workspace:
         with self.document_at_fault():
             return result_from_document(document)
 
+    def last_result(self) -> MergeResult | None:
+        """The merge, as `read_result`; None where nothing was merged yet."""
+        return self.read_result() if self.merged_json.is_file() else None
+
     @contextmanager
     def document_at_fault(self, part: str = "") -> Iterator[None]:
         """Say of a ValueError that what the merged document states, or a part, cannot be."""
@@ -454,7 +440,7 @@ class Workspace:
         lock = FileLock(self.root / ".lock")
         try:
             self.root.mkdir(parents=True, exist_ok=True)
-            lock.acquire(timeout=0.2)
+            lock.acquire(blocking=False)
         except Timeout:
             warn(f"{self.root}: another topobatch is at work there; waiting for it")
             lock.acquire()
@@ -463,17 +449,14 @@ class Workspace:
                 f"{self.root}: cannot be written ({error.strerror}); name another --workspace"
             ) from error
         try:
-            self._clear_left_overs()
-            yield
-        finally:
-            self._clear_left_overs()  # of worker processes that were stopped
-            lock.release()
-
-    def _clear_left_overs(self) -> None:
-        for folder in ("", *FOLDERS):
-            for path in self.root.joinpath(folder).glob(".*.tmp"):
+            for path in chain(
+                *(self.root.joinpath(each).glob(".*.tmp") for each in ("", *FOLDERS))
+            ):
                 if LEFT_OVER.fullmatch(path.name) and path.is_file() and not path.is_symlink():
                     path.unlink(missing_ok=True)
+            yield
+        finally:
+            lock.release()
 
 
 @dataclass(frozen=True, slots=True)
@@ -486,18 +469,10 @@ class Named:
     site: str | None = None
 
 
-def _meant(names: Sequence[str], known: Sequence[str]) -> str:
-    """The known names that are nearest to unknown ones, as a question."""
-    ends = [Path(name).name for name in names]  # a path may have been named
-    near = [[end] if end in known else get_close_matches(end, known, 3) for end in ends]
-    *others, last = [*dict.fromkeys(chain.from_iterable(near))] or [""]
-    asked = f"{', '.join(others)} or {last}" if others else last
-    return f"; did you mean {asked}?" if asked else ";"
-
-
-def is_workspace(folder: Path) -> bool:
-    """Whether a folder holds maps as a workspace does."""
-    return any(folder.joinpath("maps").glob("*.json"))
+def _meant(name: str, known: Sequence[str]) -> str:
+    """The known name that is nearest to an unknown one, as a question."""
+    near = get_close_matches(Path(name).name, known, 1)
+    return f"; did you mean {near[0]}?" if near else ";"
 
 
 def pair_named(text: str, runs: Iterable[str]) -> tuple[str, str] | None:
@@ -509,12 +484,13 @@ def pair_named(text: str, runs: Iterable[str]) -> tuple[str, str] | None:
 
 
 def checked_file_name(name: str, what: str = RUN) -> str:
-    """A name for a new `what` that is a plain file name of a length that can be, without the colon
-    between the names of a pair, or a UsageError."""
-    if ":" in plain_name(name, what):
-        raise UsageError(f"{name!r} cannot name {what}: it holds a colon, and A:B are two runs")
-    if len(name.encode()) > NAME_BYTES:
-        raise UsageError(f"{name[:40]!r}… cannot name {what}: it is longer than {NAME_BYTES} bytes")
+    """A name for a new `what`, which has to work as a file name, without the colon between the
+    names of a pair; else a UsageError."""
+    if not is_site_name(name):
+        raise UsageError(
+            f"{name[:40]!r} cannot name {what}: it must work as a file name, of at most 200 bytes "
+            "and without a colon"
+        )
     return name
 
 

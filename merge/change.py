@@ -10,9 +10,6 @@ from typing import Any
 from ..topology.digits import BITS, rounded
 from ..topology.wording import counted, listed, utc
 
-MOST_RUNS = 8
-"""Runs that a line names; of the others it gives the number."""
-
 
 class ChangeKind(StrEnum):
     """Order in time of the runs that passed a thing and those that did not find it."""
@@ -100,7 +97,7 @@ class Change:
                 + [(w.first_ns, w.run, "missing") for w in self.missing]
             )
             told = [f"{how} {utc(t, _MINUTE)} ({run})" for t, run, how in found]
-            return "; ".join([*told[:MOST_RUNS], *(["…"] if len(told) > MOST_RUNS else [])])
+            return "; ".join(told)
         before, after = self.between
         old, new = ("found", "missing") if self.kind is ChangeKind.GONE else ("missing", "found")
         return (
@@ -113,7 +110,7 @@ _MINUTE = "%Y-%m-%d %H:%M"
 
 
 def _who(witnesses: tuple[Witness, ...]) -> str:
-    return listed([w.run for w in witnesses], MOST_RUNS)
+    return listed([w.run for w in witnesses])
 
 
 def _passes(witnesses: tuple[Witness, ...]) -> str:

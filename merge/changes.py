@@ -10,12 +10,10 @@ the number of tests (Bonferroni).
 
 A junction of three that lost a branch may be detected no more, for instance by a laser that sees
 a straight corridor there. A run that drove through it undetected, and along all its corridors but
-one, is missing that corridor: one change, not one for each of its ends. A junction that lost all
-branches but one is a dead end, which no merge matches with the former junction. It is found at the
-far end of the remaining corridor (`_lookalikes`).
+one, is missing that corridor: one change, not one for each of its ends.
 
-Nothing is missing for a run that knows another junction beside it, or that drove another corridor
-along all of it: fused maps show some places twice.
+Nothing is missing for a run that knows another junction beside it: fused maps show some places
+twice.
 """
 
 from __future__ import annotations
@@ -23,8 +21,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
-from itertools import combinations
-from typing import Any
+from itertools import chain
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -32,8 +29,7 @@ from scipy.spatial import cKDTree
 from ..topology.arrays import FloatArray, IntArray
 from ..topology.digits import METRES, rounded
 from ..topology.matching.structure import padded_branches
-from ..topology.passes import NO_BRANCH
-from ..topology.polyline import Ways, leaving_rad, way_of
+from ..topology.polyline import leaving_rad, way_of
 from ..topology.se2 import wrap
 from ..topology.topomap import TopoMap
 from .change import Change, ChangeKind, Witness
@@ -51,13 +47,9 @@ class ChangeSettings:
     least_fault_rate: float = 0.01
     """Lower bound of the rates of missed branches and junctions: a run of a hundred passes cannot
     show less."""
-    equal_sigmas: float = 3.0
-    """Corridors whose lengths differ by no more standard deviations are equally long (99.7 % of
-    equal ones)."""
     beside_m: float = 1.5
     """Junctions no farther apart, or than the position of one is uncertain (1 sigma), may be one
-    place; corridors of which one lies so near the other everywhere may be one corridor. Doublets of
-    fused maps are about 1 m apart; a corridor and its walls have 1.5 m."""
+    place. Doublets of fused maps are about 1 m apart; a corridor and its walls have 1.5 m."""
 
 
 CHANGES = ChangeSettings()
@@ -92,6 +84,13 @@ def changes(result: MergeResult, component: int, maps: Mapping[str, TopoMap]) ->
     return tuple(sorted(found, key=lambda c: (-c.bits, c.thing, c.junctions)))
 
 
+def all_changes(result: MergeResult, maps: Mapping[str, TopoMap]) -> list[Change]:
+    """Changes between the runs of every component, as of `changes`."""
+    several = (c for c in result.components if len(c.poses) > 1)
+    found = (changes(result, c.id, {run: maps[run] for run in c.poses}) for c in several)
+    return list(chain.from_iterable(found))
+
+
 def last_found(
     result: MergeResult, component: int, maps: Mapping[str, TopoMap]
 ) -> dict[int, Witness]:
@@ -124,31 +123,19 @@ class _Seen:
         self._headings = {run: padded_branches(m) for run, m in maps.items()}
         self._fused = padded_branches(merged)
         self._turn = {run: float(poses[run][2]) for run in maps}
-        self._alike = _lookalikes(merged, self.nodes)
         self._near = _neighbours(merged)
-        self._driven: dict[str, Ways] = {}
         self._at: list[list[int]] = [[] for _ in self.nodes]
         for e, ends in enumerate(zip(merged.source.tolist(), merged.target.tolist(), strict=True)):
             for node in {*ends}:
                 self._at[node].append(e)
 
     def places(self, run: str, node: int) -> list[int]:
-        """The fused vertices that a run saw where a fused vertex is: itself and those beside it, or
-        else those that look like it."""
-        here = [k for k in self._near[node] if run in self.nodes[k]]
-        return here or [k for k in self._alike[node] if run in self.nodes[k]]
+        """The fused vertices that a run saw where a fused vertex is: itself and those beside it."""
+        return [k for k in self._near[node] if run in self.nodes[k]]
 
     def is_double(self, edge: int) -> bool:
         """Whether a fused edge joins two vertices that may be one place."""
         return int(self.merged.target[edge]) in self._near[int(self.merged.source[edge])]
-
-    def drove_along(self, run: str, edge: int) -> bool:
-        """Whether a run's corridors lie beside all of a fused edge."""
-        if run not in self._driven:
-            own = [k for k, members in enumerate(self.edges) if run in members]
-            self._driven[run] = Ways([self.merged.paths[k] for k in own], STEP_M)
-        away = self._driven[run].away(self.merged.paths[edge])
-        return bool(away.max() <= CHANGES.beside_m)
 
     def times(self, run: str, node: int) -> IntArray:
         """Times [ns] at which a run passed the place of a fused vertex."""
@@ -205,38 +192,12 @@ class _Seen:
         return leaving_rad(m.paths[edge], end)
 
 
-def _lookalikes(merged: TopoMap, nodes: Sequence[Mapping[str, Any]]) -> list[list[int]]:
-    """For every fused vertex, those seen by other runs only that are the same place: equally long
-    corridors that leave one vertex by one branch lead to both. O(m)."""
-    leaving: dict[tuple[int, int], list[tuple[int, int]]] = {}
-    ends = (merged.source, merged.target)
-    branches = (merged.source_branch, merged.target_branch)
-    for k in (0, 1):
-        rows = zip(ends[k].tolist(), branches[k].tolist(), ends[1 - k].tolist(), strict=True)
-        for e, (node, branch, other) in enumerate(rows):
-            if branch != NO_BRANCH:
-                leaving.setdefault((node, branch), []).append((e, other))
-    out: list[set[int]] = [set() for _ in nodes]
-    for side in leaving.values():
-        for (e, u), (f, v) in combinations(side, 2):
-            off = abs(merged.length[e] - merged.length[f])
-            sigma = np.hypot(merged.length_sigma[e], merged.length_sigma[f])
-            if not nodes[u].keys() & nodes[v].keys() and off <= CHANGES.equal_sigmas * sigma:
-                out[u].add(v)
-                out[v].add(u)
-    return [sorted(alike) for alike in out]
-
-
 def _neighbours(merged: TopoMap) -> list[list[int]]:
     """For every fused vertex, itself and those that may be the same place by where they lie."""
     sigma = np.zeros(len(merged)) if merged.position_sigma is None else merged.position_sigma
     reach = np.maximum(np.nan_to_num(sigma), CHANGES.beside_m)
     found: list[list[int]] = cKDTree(merged.xy).query_ball_point(merged.xy, reach).tolist()
     return [sorted(near) for near in found]
-
-
-STEP_M = 0.5
-"""Spacing of the points by which corridors are compared: a third of `beside_m`."""
 
 
 def _fault_rate(rate: float) -> float:
@@ -264,8 +225,6 @@ def _corridors(seen: _Seen) -> tuple[list[Change], int, set[tuple[int, str]]]:
                 continue
             asked += 1
             if any(seen.saw(run, ends[k], headings[k]) for k in passed):
-                continue
-            if seen.drove_along(run, e):
                 continue
             explained |= {(node, run) for node in through}
             missing.append(_missed(seen, run, {ends[k] for k in passed}, through))

@@ -5,10 +5,9 @@ Degrees and decimals for people; documents hold radians.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from textwrap import shorten, wrap
-from typing import TYPE_CHECKING, NamedTuple
+from textwrap import wrap
 
 import numpy as np
 
@@ -20,9 +19,6 @@ from .locks import DISCARDED, discarded
 from .result import PairVerdict, Verdict, shown_bits
 from .robust.settings import MATCH
 from .wording import AGREES_BITS, decimals, describe_agreement, describe_bits
-
-if TYPE_CHECKING:  # which loads pydantic
-    from .merged_schema import MergeEntry
 
 WIDTH = 79
 """Columns of the smallest usual terminal."""
@@ -147,9 +143,7 @@ def _contradicted(placement: Placement) -> str:
     return "nothing contradicts" if placement.searched else "contradictions were not looked for"
 
 
-def weakest_links(
-    pairs: Iterable[PairVerdict | MergeEntry], home: Mapping[str, int]
-) -> dict[int, str]:
+def weakest_links(pairs: Iterable[PairVerdict], home: Mapping[str, int]) -> dict[int, str]:
     """Of every component the pair with the least evidence of those that hold its runs together
     best, in words. home: the component of every run."""
     from scipy.cluster.hierarchy import DisjointSet
@@ -189,16 +183,31 @@ def lies(decision: Decision) -> str:
 def rows(decision: Decision, links: int) -> list[Row]:
     """The table of evidence: the sums of every placement, and at most `links` of the largest links
     of the first one."""
-    shown = [p for p in decision.placements if p.terms]
-    out = []
-    for group in GROUPS:
-        terms = [p.of(*group.kinds) for p in shown]
-        if not any(terms) and not (group.always and shown):
-            continue
-        bits = tuple(sum(t.bits for t in own) if own or group.always else None for own in terms)
-        out.append(Row(group.text(decision.placements), bits))
-        if group.itemised and bits[0] is not None:
-            out += _parts(itemised(shown[0], group.kinds), links)
+    placements = decision.placements
+    shown = [p for p in placements if p.terms]
+    out: list[Row] = []
+
+    def add(text: str, *kinds: TermKind, always: bool = False, each: bool = False) -> None:
+        """Add the sums of some kinds of terms. always: also where there are none; each: followed by
+        the terms."""
+        terms = [p.of(*kinds) for p in shown]
+        if always or any(terms):
+            bits = tuple(sum(t.bits for t in own) if own or always else None for own in terms)
+            out.append(Row(text, bits))
+            if each and bits[0] is not None:
+                out.extend(_parts(itemised(shown[0], kinds), links))
+
+    if shown:
+        first = placements[0]
+        number = counted(len(first.of(*LINKS)), "link")
+        add(f"{number} between matched junctions", *LINKS, always=True, each=True)
+        number = counted(len(first.of("branches")), "junction")
+        add(f"branches of {number}", "branches", always=True)
+        add(_views_text(placements), "views")
+        add(_against_text(placements), *AGAINST, always=True, each=True)
+        add(_first_text([first], "hypotheses"), "hypotheses", always=True)
+        add(_first_text(placements, "few"), "few")
+        add(_first_text([first], "copies") or "is it a copy?", "copies")
     return out
 
 
@@ -221,37 +230,6 @@ def _against_text(placements: Sequence[Placement]) -> str:
 def _first_text(placements: Sequence[Placement], *kinds: TermKind) -> str:
     """The words of the first such term of any placement, "" without one."""
     return next((t.text for p in placements for t in p.of(*kinds)), "")
-
-
-class Group(NamedTuple):
-    """Kinds of terms that are summed in one row, and its text. always: the row is there without any
-    term as well; itemised: its terms have rows of their own."""
-
-    kinds: tuple[TermKind, ...]
-    text: Callable[[Sequence[Placement]], str]
-    always: bool = False
-    itemised: bool = False
-
-
-GROUPS = (
-    Group(
-        LINKS,
-        lambda of: f"{counted(len(of[0].of(*LINKS)), 'link')} between matched junctions",
-        always=True,
-        itemised=True,
-    ),
-    Group(
-        ("branches",),
-        lambda of: f"branches of {counted(len(of[0].of('branches')), 'junction')}",
-        always=True,
-    ),
-    Group(("views",), _views_text),
-    Group(AGAINST, _against_text, always=True, itemised=True),
-    Group(("hypotheses",), lambda of: _first_text(of[:1], "hypotheses"), always=True),
-    Group(("few",), lambda of: _first_text(of, "few")),
-    Group(("copies",), lambda of: _first_text(of[:1], "copies") or "is it a copy?"),
-)
-"""The rows of sums, in their order."""
 
 
 def itemised(placement: Placement, kinds: Sequence[TermKind]) -> list[Term]:
@@ -319,11 +297,9 @@ def matched(placement: Placement) -> str:
     return " ".join(f"{u}={v}" for u, v in placement.alignment.matched.tolist())
 
 
-def lines(
-    decision: Decision, links: int | None = None, width: int = WIDTH, *, whole: bool = False
-) -> list[str]:
+def lines(decision: Decision, links: int | None = None, width: int = WIDTH) -> list[str]:
     """The decision as lines of a terminal, `width` columns wide, the verdict first. links: most
-    rows of links, `MOST_LINKS` by default; whole: texts that are too long are not cut."""
+    rows of links, `MOST_LINKS` by default."""
     pair = decision.pair
     out = _folded(headline(decision), width)
     told = [because(decision), lies(decision)]
@@ -336,12 +312,10 @@ def lines(
     elif len(decision.placements) > 1:
         second = f"the {other_name(decision)} lays it at {_pose(poses[1])}"
         out += _folded(second, width, "  ")
-    table = _table(decision, MOST_LINKS if links is None else links, width)
-    out += [_line(*row, width, whole=whole) for row in table]
+    out += _table(decision, MOST_LINKS if links is None else links, width)
     if decision.placements:
         pairs = f"{short(pair.a)} = {short(pair.b)}: {matched(decision.placements[0])}"
-        cut = pairs if whole else shorten(pairs, width - 2, placeholder=" …")
-        out += _folded(cut, width, "  ")
+        out += _folded(pairs, width, "  ")
     out += _folded(advice(decision), width, "  ")
     for note in decision.notes:
         out += _folded(f"Note: {note}", width, "  ")
@@ -360,41 +334,27 @@ def _folded(text: str, width: int, indent: str = "") -> list[str]:
     )
 
 
-_Line = tuple[Sequence[str], str, tuple[str, str]]
-"""A line of the table: numbers, text, and the junctions of both runs."""
+def _table(decision: Decision, links: int, width: int) -> list[str]:
+    """The table of evidence, its sum and the requirements; the junctions of both on the right."""
+    digits, count, pair = digits_of(decision), len(decision.placements), decision.pair
 
-NO_ENDS = ("", "")
+    def line(cells: Sequence[str], text: str, a: str = "", b: str = "") -> str:
+        left = "".join(f"{cell:>8}" for cell in [*cells, *[""] * (count - len(cells))]) + "  "
+        right = f" {a:>10} {b:>10}" if a or b else ""
+        return f"{left}{text:<{width - len(left) - len(right)}}{right}".rstrip()
 
-
-def _table(decision: Decision, links: int, width: int) -> list[_Line]:
-    """The table of evidence, its sum and the requirements."""
-    digits, count = digits_of(decision), len(decision.placements)
     if not count:
-        return [([_threshold(decision)], f"bits needed: {needs(decision)}", NO_ENDS)]
-    names = (short(decision.pair.a, 10), short(decision.pair.b, 10))
+        return [line([_threshold(decision)], f"bits needed: {needs(decision)}")]
     head = ["this", "next"][:count] if count > 1 else ["bits"]
-    out: list[_Line] = [([], "", NO_ENDS), (head, "for (+) and against it (-)", names)]
+    names = (short(pair.a, 10), short(pair.b, 10))
+    out = ["", line(head, "for (+) and against it (-)", *names)]
     for row in rows(decision, links):
         cells = ["" if bits is None else f"{bits:+z.{digits}f}" for bits in row.bits]
         text = row.text
         if row.level:  # a part of the sum above: its bits stand out of the column that adds up
-            text, cells = f"{cells[0]:>7}  {text}", [""]
-        cells += [""] * (count - len(cells))
-        out.append((cells, text, (row.a, row.b)))
+            text, cells = f"{cells[0]:>7}  {text}", []
+        out.append(line(cells, text, row.a, row.b))
     sums = [f"= {shown_bits(p.alignment.evidence_bits, digits)}" for p in decision.placements]
-    out.append((sums, sum_label(decision), NO_ENDS))
-    blank = [""] * (count - 1)
-    need = wrap(f"needed: {needs(decision)}", width - 8 * count - 2, subsequent_indent="  ")
-    out.append(([_threshold(decision), *blank], need[0], NO_ENDS))
-    return [*out, *(([""] * count, line, NO_ENDS) for line in need[1:])]
-
-
-def _line(
-    cells: Sequence[str], text: str, ends: tuple[str, str], width: int, *, whole: bool
-) -> str:
-    """A line of the table with the junctions on the right."""
-    left = "".join(f"{cell:>8}" for cell in cells) + "  "
-    right = f" {ends[0]:>10} {ends[1]:>10}" if any(ends) else ""
-    room = width - len(left) - len(right)
-    text = text if whole or len(text) <= room else f"{text[: room - 1]}…"
-    return f"{left}{text:<{room}}{right}".rstrip()
+    out.append(line(sums, sum_label(decision)))
+    first, *more = wrap(f"needed: {needs(decision)}", width - 8 * count - 2, subsequent_indent="  ")
+    return [*out, line([_threshold(decision)], first), *(line([], each) for each in more)]

@@ -29,7 +29,7 @@ from scipy.sparse.csgraph import dijkstra
 from ..topology.arrays import BoolArray, FloatArray, IntArray
 from ..topology.digits import METRES, rounded
 from ..topology.driven_branches import driven_branches
-from ..topology.se2 import apply, compose, inverse, wrap
+from ..topology.se2 import apply, compose, inverse
 from .drive import Drive, Stop, Undriven
 from .result import (
     Component,
@@ -58,25 +58,13 @@ class DriveSettings:
     beyond: float = 2.0
     """Corridors driven beyond a branch never driven for every junction that merging needs: other
     sites do not begin at once behind the last junction known. Of 13 such drives 8 join a site, with
-    1.0 it is 5."""
+    1.0 it is 5. Known corridors up to twice as far straight on count as in its way."""
     least_bits: float = 1.0
     """Evidence that a drive is expected to bring at least: less does not even make a match twice as
     likely."""
-    same_m: float = 2.0
-    same_rad: float = 0.2
-    """Open pairs place two sites alike if their placements differ by no more: drift of some tens of
-    metres, and half of the gate of branches."""
-    most_local: int = 300
-    """Junctions of a site around the common ones within which a walk is looked for: it needs some
-    ten."""
-    most_pivots: int = 24
-    """Common junctions from which walks are tried, the evidence of a pair has seldom more."""
     most_planned: int = 30
-    """Pairs of sites, those with the likeliest placements, and sites, those of most runs, for which
-    a drive is planned: each takes some 50 ms, and few are listed."""
-    straight_corridors: float = 4.0
-    """How far along a branch never driven known corridors count as in its way, in median
-    corridors: what lies behind them is mostly known."""
+    """Pairs of sites, those with the likeliest placements, for which a drive is planned: each takes
+    some 50 ms, and few are listed."""
 
 
 DRIVES = DriveSettings()
@@ -86,8 +74,8 @@ def drives(result: MergeResult, most: int = 5, component: int | None = None) -> 
     """The best `most` drives, by decreasing expected bits per metre; component: only those that
     begin at it or join it.
 
-    One for every two sites with an open pair, and one into the unknown for every site, of either
-    `most_planned`. O(pairs + junctions + most_planned · most_local²).
+    One for every two sites with an open pair, `most_planned` of these, and one into the unknown for
+    every site. O(pairs + junctions) for each of them.
     """
     components, junction = {c.id: c for c in result.components}, ~result.fused.is_turned
     site = cache(lambda k: _Site(result.fused, components[k], junction))
@@ -191,10 +179,11 @@ def _right(pair: PairVerdict) -> float:
     """Probability that the best placement is right: against the next best one and none, and where
     that was asked, against a copy of the place."""
     assert pair.best is not None
-    same = 2.0 ** float(np.clip(pair.same_place_bits, -500.0, 500.0))
-    others = 0.0 if pair.runner_up is None else 2.0 ** min(pair.runner_up.evidence_bits, 500.0)
-    odds = 2.0 ** min(pair.best.evidence_bits, 500.0)
-    return float(odds / (1.0 + odds + others) * same / (1.0 + same))
+    best, others = pair.best.evidence_bits, -np.inf
+    if pair.runner_up is not None:
+        others = pair.runner_up.evidence_bits
+    placed = best - np.logaddexp2(np.logaddexp2(0.0, best), others)
+    return float(2.0 ** (placed - np.logaddexp2(0.0, -pair.same_place_bits)))
 
 
 def _placed(result: MergeResult) -> dict[int, list[PairVerdict]]:
@@ -250,14 +239,12 @@ def _joining_drive(
     have none in common."""
     best = max(pairs, key=lambda p: (_right(p), p.evidence_bits, p.a, p.b))
     T_site_other = _placement(best, site, home)
-    alike = [p for p in pairs if _same(_placement(p, site, home), T_site_other, other)]
     partner: dict[int, int] = {}
-    for pair in sorted(alike, key=lambda p: (p is not best, -p.evidence_bits, p.a, p.b)):
-        for here, there in _identified(pair, site, other, members):
-            if here not in partner.values() and there not in partner:
-                partner[there] = here
+    for here, there in _identified(best, site, other, members):
+        if here not in partner.values() and there not in partner:
+            partner[there] = here
     both = _Ground(site, other, partner, T_site_other)
-    per_junction = _per_junction(alike)
+    per_junction = _per_junction([best])
     need = _needed_junctions(result, per_junction)
     places, length_m = both.walk(sorted(partner.values()), need)
     if len(places) < 2:
@@ -280,13 +267,6 @@ def _placement(pair: PairVerdict, site: _Site, home: dict[str, Component]) -> Fl
     return T_a_b if home[pair.a].id == site.component else inverse(T_a_b)
 
 
-def _same(one: FloatArray, two: FloatArray, other: _Site) -> bool:
-    """Whether two placements lay the other site's middle alike."""
-    middle = other.xy.mean(axis=0)[None] if len(other.xy) else np.zeros((1, 2))
-    off = np.hypot(*(apply(one, middle) - apply(two, middle))[0])
-    return bool(off <= DRIVES.same_m and abs(wrap(one[2] - two[2])) <= DRIVES.same_rad)
-
-
 def _identified(
     pair: PairVerdict, site: _Site, other: _Site, members: dict[tuple[str, int], int]
 ) -> Iterator[tuple[int, int]]:
@@ -298,6 +278,10 @@ def _identified(
             one, two = two, one
         if one in site.row and two in other.row:
             yield site.row[one], other.row[two]
+
+
+Reach = Callable[[int], tuple[Any, Any]]
+"""(n,) lengths of the shortest ways from a place to all others, and the place before each."""
 
 
 class _Ground:
@@ -340,24 +324,31 @@ class _Ground:
         both, where walks cross from one to the other; without any there is no walk."""
         if not shared:
             return (), 0.0
-        in_site, in_other = (
-            _Reach(self, inside, shared) for inside in (self.in_site, self.in_other)
-        )
+        in_site, in_other = self.reach(self.in_site), self.reach(self.in_other)
 
         def tried(pivot: int) -> tuple[int, float, tuple[int, ...]]:
             """The walk from a place of both, through the other site, then on in the first one for
             what is still missing: minus the places that count, its length, its places."""
             seen = {pivot}
-            there, two = in_other.tour(pivot, seen, need - 1)
+            there, two = _tour(in_other, pivot, seen, need - 1)
             have = int(self.in_site[list(seen)].sum())
-            here, one = in_site.tour(pivot, seen, max(0, need - have))
+            here, one = _tour(in_site, pivot, seen, max(0, need - have))
             places = (*reversed(here), *there[1:])
             own = list({*places})
             known = (min(int(mask[own].sum()), need) for mask in (self.in_site, self.in_other))
             return -sum(known) if len(places) > 1 else 0, one + two, places
 
-        _, length_m, places = min(map(tried, shared[:: max(1, len(shared) // DRIVES.most_pivots)]))
+        _, length_m, places = min(map(tried, shared))
         return places, length_m
+
+    def reach(self, inside: BoolArray) -> Reach:
+        """The shortest ways within one of the sites."""
+        rows = [(u, v, w) for (u, v), (w, _) in self.ways.items() if inside[u] and inside[v]]
+        u, v, length = np.array(rows, np.float64).reshape(-1, 3).T
+        ends = (u.astype(np.int64), v.astype(np.int64))
+        graph = coo_array((length, ends), shape=(len(inside), len(inside))).tocsr()
+        found: Reach = cache(lambda here: dijkstra(graph, indices=here, return_predecessors=True))
+        return found
 
     def drive(self, places: Sequence[int], **about: Any) -> Drive:
         """A walk as a drive, which starts in the first site."""
@@ -372,43 +363,26 @@ class _Ground:
         )
 
 
-class _Reach:
-    """Shortest ways within one of two sites, around some places."""
-
-    def __init__(self, ground: _Ground, inside: BoolArray, around: Sequence[int]) -> None:
-        n = len(ground.xy)
-        rows = [(u, v, w) for (u, v), (w, _) in ground.ways.items() if inside[u] and inside[v]]
-        u, v, length = np.array(rows, np.float64).reshape(-1, 3).T
-        graph = coo_array((length, (u.astype(np.int64), v.astype(np.int64))), shape=(n, n)).tocsr()
-        near = dijkstra(graph, indices=around, min_only=True)
-        self.places = np.argsort(near, kind="stable")[: DRIVES.most_local]
-        self.places = np.sort(self.places[np.isfinite(near[self.places]) & inside[self.places]])
-        local = graph[self.places][:, self.places]
-        self.number = {p: k for k, p in enumerate(self.places.tolist())}
-        self.away, self.came = dijkstra(local, return_predecessors=True)
-
-    def tour(self, start: int, seen: set[int], wanted: int) -> tuple[list[int], float]:
-        """From `start` by `wanted` places that were not seen, always to the nearest: all places on
-        the way, and its length; adds them to `seen`. The shortest way by as many is 2 % shorter
-        (105 drives of 13 merges)."""
-        if start not in self.number:
-            return [start], 0.0
-        fresh = np.array([p not in seen for p in self.places.tolist()])
-        here, out, length = self.number[start], [start], 0.0
-        for _ in range(wanted):
-            away = np.where(fresh, self.away[here], np.inf)
-            goal = int(away.argmin())
-            if not np.isfinite(away[goal]) or goal == here:
-                break
-            way = [goal]
-            while self.came[here, way[-1]] != here:
-                way.append(int(self.came[here, way[-1]]))
-            out += self.places[way[::-1]].tolist()
-            length += float(away[goal])
-            fresh[way] = False
-            here = goal
-        seen.update(out)
-        return out, length
+def _tour(reach: Reach, start: int, seen: set[int], wanted: int) -> tuple[list[int], float]:
+    """From `start` by `wanted` places that were not seen, always to the nearest: all places on the
+    way, and its length; adds them to `seen`. The shortest way by as many is 2 % shorter (105 drives
+    of 13 merges)."""
+    here, out, length = start, [start], 0.0
+    for _ in range(wanted):
+        away, before = reach(here)
+        away = away.copy()
+        away[[*seen]] = np.inf
+        goal = int(away.argmin())
+        if not np.isfinite(away[goal]):
+            break
+        way = [goal]
+        while before[way[-1]] != here:
+            way.append(int(before[way[-1]]))
+        out += reversed(way)
+        seen.update(way)
+        length += float(away[goal])
+        here = goal
+    return out, length
 
 
 # Into the unknown.
@@ -419,23 +393,17 @@ def _exploring(result: MergeResult, site_of: SiteOf, wanted: Collection[int]) ->
     known."""
     share = _overlapping_share(result)
     need = _needed_junctions(result, MATCH.junction_bits)
-    free = ~driven_branches(result.fused)
-    owner, heading = result.fused.branches.owner, result.fused.branches.values
     pairs = _placed(result)
-    order = sorted((-len(c.poses), c.id) for c in result.components if c.id in wanted)
-    for site in (site_of(c) for _, c in order[: DRIVES.most_planned]):
-        rows = np.flatnonzero(free & np.isin(owner, site.ids))
-        known = pairs[site.component]
-        if not len(rows) or not site.ways or not _tells_copies(known):
-            continue
-        corridors = np.concatenate([path for _, path in site.ways.values()])
-        ways_m = DRIVES.straight_corridors * site.usual_m
-        at = result.fused.xy[owner[rows]]
-        open_ = _unobstructed(at, heading[rows], ways_m, corridors, site.usual_m / 2)
-        k = int(open_.argmax())
-        bits = share * _per_junction(known) * need * float(open_[k])
-        place, towards = site.row[int(owner[rows[k]])], float(heading[rows[k]])
-        yield _exploring_drive(site, place, towards, need, bits)
+    branches: dict[str, list[Undriven]] = {}
+    for branch in never_driven(result) if wanted else ():
+        branches.setdefault(branch.site, []).append(branch)
+    for site in map(site_of, sorted(wanted)):
+        known, free = pairs[site.component], branches.get(site.name)
+        if free and site.ways and _tells_copies(known):
+            open_ = _unobstructed(free, site)
+            k = int(open_.argmax())
+            bits = share * _per_junction(known) * need * float(open_[k])
+            yield _exploring_drive(site, free[k], need, bits)
 
 
 def _overlapping_share(result: MergeResult) -> float:
@@ -448,26 +416,29 @@ def _overlapping_share(result: MergeResult) -> float:
     return (open_ + 1) / (across + 2) if across else 0.0
 
 
-def _unobstructed(
-    at: FloatArray, heading: FloatArray, far_m: float, known: FloatArray, near_m: float
-) -> FloatArray:
-    """(k,) share of the way straight on from each branch that has no known corridor near."""
+def _unobstructed(branches: Sequence[Undriven], site: _Site) -> FloatArray:
+    """(k,) share of the way straight on from each branch, from one corridor of usual length on,
+    that has no known corridor near."""
     from scipy.spatial import cKDTree
 
-    steps = np.linspace(0.3, 1.0, 8) * far_m
+    near_m = site.usual_m / 2
+    steps = near_m * np.arange(2, 4 * DRIVES.beyond + 1)
+    heading = np.array([b.heading_rad for b in branches])
     ray = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
-    points = at[:, None] + steps[None, :, None] * ray[:, None]
-    away, _ = cKDTree(known).query(points.reshape(-1, 2))
-    free: FloatArray = np.asarray(away > near_m).reshape(len(at), -1).mean(axis=1)
+    points = np.stack([b.xy for b in branches])[:, None] + steps[None, :, None] * ray[:, None]
+    corridors = np.concatenate([path for _, path in site.ways.values()])
+    away, _ = cKDTree(corridors).query(points.reshape(-1, 2))
+    free: FloatArray = np.asarray(away > near_m).reshape(len(branches), -1).mean(axis=1)
     return free
 
 
-def _exploring_drive(site: _Site, place: int, heading: float, need: int, bits: float) -> Drive:
-    """The drive that leaves a site by a branch that nobody drove, at the row `place` and in the
-    direction `heading` [rad]: by up to `need` known junctions to it, so that the new log can be
-    merged, then on for `DRIVES.beyond` corridors for each, of which the path shows the first."""
+def _exploring_drive(site: _Site, branch: Undriven, need: int, bits: float) -> Drive:
+    """The drive that leaves a site by a branch that nobody drove: by up to `need` known junctions
+    to it, so that the new log can be merged, then on for `DRIVES.beyond` corridors for each, of
+    which the path shows the first."""
+    place, heading = site.row[branch.junction], branch.heading_rad
     ground = _Ground(site)
-    places, known_m = _Reach(ground, ground.in_site, [place]).tour(place, {place}, need - 1)
+    places, known_m = _tour(ground.reach(ground.in_site), place, {place}, need - 1)
     end = site.xy[place] + site.usual_m * np.array([np.cos(heading), np.sin(heading)])
     x, y = rounded(end, METRES)
     known = ground.drive(

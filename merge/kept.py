@@ -26,9 +26,6 @@ Key = tuple[bytes, bytes]
 WRITTEN_TOGETHER = 1000
 """Results per transaction: what a killed process loses, about a second of one core."""
 
-PATIENCE_S = 60.0
-"""Longest wait for another process that writes, which takes a second at most."""
-
 TABLE = (
     "CREATE TABLE IF NOT EXISTS result (kind TEXT, a BLOB, b BLOB, era BLOB, crc INTEGER, "
     "data BLOB, PRIMARY KEY (kind, a, b))"
@@ -115,9 +112,8 @@ class Kept:
         every = self._rows("SELECT rowid, a, b, era FROM result")
         wanted, era = self._wanted, self.era
         gone = [(row,) for row, a, b, of in every if of != era or not wanted.issuperset((a, b))]
-        dropped = self._written("DELETE FROM result WHERE rowid = ?", gone) if gone else False
-        if dropped and 2 * len(gone) > len(every):
-            self._rows("VACUUM")
+        if gone:
+            self._written("DELETE FROM result WHERE rowid = ?", gone)
 
     def _read(self, kind: Kind, key: Key) -> bytes | None:
         """The result of a key in the database, None where it is not there or damaged."""
@@ -156,7 +152,7 @@ class Kept:
         """The database, opened once."""
         if self._database is None:
             assert self.path is not None
-            self._database = sqlite3.connect(self.path, timeout=PATIENCE_S)
+            self._database = sqlite3.connect(self.path)
             self._database.execute("PRAGMA synchronous = OFF")  # a cache: may be lost
             self._database.execute(TABLE)
         return self._database
@@ -166,14 +162,11 @@ class Kept:
         if self._database is not None:
             self._database.close()
         self._database = None
-        try:
-            if isinstance(error, OSError | sqlite3.OperationalError):  # locked, read-only, no space
-                raise error
-            if self.path is not None:
-                self.path.unlink(missing_ok=True)
-        except (OSError, sqlite3.Error) as why:
-            self._say(f"{self.path}: results are not kept: {why}")
+        if isinstance(error, OSError | sqlite3.OperationalError):  # locked, read-only, no space
+            self._say(f"{self.path}: results are not kept: {error}")
             self.path = None
+        elif self.path is not None:
+            self.path.unlink(missing_ok=True)
 
 
 DIGEST = 16

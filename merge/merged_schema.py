@@ -88,16 +88,6 @@ class MergedGraph(Attributes):
             raise ValueError("two components are called like one site")
         return self
 
-    @property
-    def sites(self) -> dict[str, str]:
-        """The site of every run, where it has a name."""
-        return {run: c.site for c in self.components for run in c.runs if c.site is not None}
-
-    @property
-    def home(self) -> dict[str, int]:
-        """The component of every run."""
-        return {run: c.id for c in self.components for run in c.runs}
-
     maps: dict[str, str] | None = Field(
         None,
         description="By run, the BLAKE2b digest (128 bits, hexadecimal) of the file of its map, as "

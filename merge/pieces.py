@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +15,7 @@ from ..topology.views import NO_VIEWS, Views
 from ..topology.wording import counted
 from .component_map import component_map
 from .merging import merge_maps
-from .result import Component, MergeResult, PairVerdict, Verdict, graph_part
+from .result import Component, MergeResult, graph_part
 from .robust import DEFAULT_ROBUST
 
 
@@ -34,10 +34,8 @@ def joined_pieces(topomap: TopoMap) -> tuple[TopoMap, ...]:
     small = [part for part in parts if len(part) < least]
     able = {part.run: part for part in parts if len(part) >= least}
     result = merge_maps(list(able.values()))
-    questions = [c for v in result.verdicts for c in _closures(v, able)]
-    whole = replace(topomap, closures=(*topomap.closures, *questions))
     # Components come in the order of their first parts, which are named by time.
-    found = [_as_piece(whole, result, c, able) for c in result.components]
+    found = [_as_piece(topomap, result, c, able) for c in result.components]
     main = max(found or small, key=_passes)
     kept = [main, *(m for m in found if m is not main)]
     small = [m for m in small if m is not main]
@@ -54,21 +52,13 @@ def _passes(topomap: TopoMap) -> int:
 
 def _describe(pieces: int, names: Sequence[str], small: Sequence[TopoMap]) -> str:
     """One sentence on the result for the pieces."""
-    apart = len(names) + len(small)
-    text = f"the odometry broke: {pieces} pieces, "
-    if apart == 1:
-        text += "all joined by what they saw"
-    elif apart == pieces:
-        text += "none of which could be joined to another for sure"
-    else:
-        were = "was" if pieces - apart == 1 else "were"
-        text += f"of which {pieces - apart} {were} joined to another by what they saw"
+    joined = pieces - len(names) - len(small)
+    text = f"the odometry broke: {pieces} pieces, {joined} joined to another by what they saw"
     if len(names) > 1:
         text += f"; on their own: {', '.join(names[1:])}"
     if small:
         passes = counted(sum(map(_passes, small)), "junction pass", "junction passes")
-        are = "is" if len(small) == 1 else "are"
-        text += f"; {len(small)} too small to be placed {are} left out ({passes})"
+        text += f"; left out as too small to be placed: {len(small)} ({passes})"
     return text
 
 
@@ -129,19 +119,6 @@ def _as_piece(
         closures=_closures_of(topomap, piece.observation_time_ns),
         views=take(views, np.argsort(views.time_ns, kind="stable")),
     )
-
-
-def _closures(verdict: PairVerdict, parts: Mapping[str, TopoMap]) -> Iterator[Closure]:
-    """The identifications that a verdict on two parts makes or refuses, one per matched pair."""
-    best = verdict.best
-    if best is None or verdict.verdict is Verdict.UNRELATED:
-        return
-    bits = verdict.evidence_bits / len(best.matched)
-    one, two = (_first_passes(parts[name]) for name in (verdict.a, verdict.b))
-    for u, v in best.matched.tolist():
-        first, second = sorted((int(one[u]), int(two[v])))
-        reason = f"pieces of the run: {verdict.reason}"
-        yield Closure(first, second, verdict.accepted, bits, reason)
 
 
 def _first_passes(topomap: TopoMap) -> IntArray:

@@ -391,6 +391,16 @@ class MergeResult:
     info: Mapping[str, Any] = field(default_factory=dict)
     unlisted: UnlistedPairs | None = None
 
+    @property
+    def home(self) -> dict[str, int]:
+        """The component of every run, by its number."""
+        return home_of(self.components)
+
+    @property
+    def sites(self) -> dict[str, str]:
+        """The site of every run, where it has a name."""
+        return {run: c.site for c in self.components for run in c.poses if c.site}
+
     def standings(self) -> dict[Standing, int]:
         """Number of pairs, listed or not, in each state."""
         count = Counter(pair.standing for pair in self.verdicts)

@@ -57,9 +57,8 @@ def site_names(
     history: SiteHistory,
     origins: Mapping[str, Origin],
     taken: Collection[str] = (),
-) -> tuple[list[str], list[str]]:
-    """The name of every component, given as its runs, and sentences on the sites of the last merge
-    that became one or came apart.
+) -> list[str]:
+    """The name of every component, given as its runs.
 
     origins: of every run; taken: names that mean something else, which no new site gets. O(runs ·
     names given).
@@ -72,7 +71,7 @@ def site_names(
         own = runs if len(runs) == 1 else ()
         used = others.difference(own).union(sites, names)
         names.append(name or _new_name(runs, groups, origins, used))
-    return names, [*_unions(components, names, history), *_splits(components, names, history)]
+    return names
 
 
 def _kept_names(
@@ -110,7 +109,7 @@ def _new_name(
     run."""
     *_, oldest = _oldest(runs, origins)
     if len(runs) == 1:
-        options = [_as_site_name(oldest)]
+        options = [oldest]
     else:
         others = [run for run in origins if run not in runs]
         grouped = [run for group in groups if group is not runs for run in group]
@@ -119,18 +118,12 @@ def _new_name(
             *_shared_folder(runs, others, folders),
             *_shared_beginning(runs, others),
             *_shared_folder(runs, grouped, folders),
-            _as_site_name(f"site-{oldest}"),
+            f"site-{oldest}",
         ]
+    if not is_site_name(options[-1]):  # earlier versions had colons in names of runs
+        options[-1] = "site"
     numbered = (f"{options[-1]}-{n}" for n in range(2, len(taken) + 3))
     return next(name for name in (*options, *numbered) if name not in taken)
-
-
-def _as_site_name(run: str) -> str:
-    """The name of a run as a site can have it; earlier versions had colons in names of runs."""
-    name = re.sub(r"[/\\:]", "-", run).lstrip(".")
-    while not is_site_name(name) and name:
-        name = name[:-1]
-    return name or "site"
 
 
 OF_NO_PLACE = ("bag", "data", "log", "map", "mcap", "recording", "rosbag", "run")
@@ -165,37 +158,22 @@ def _beginning(sequences: Sequence[Sequence[str]]) -> list[str]:
     return [column[0] for column in columns]
 
 
-def _unions(
-    components: Sequence[Collection[str]], names: Sequence[str], history: SiteHistory
-) -> list[str]:
-    """A sentence for each component in which sites of the last merge became one."""
-    out = []
-    now = set(names)
-    for runs, name in zip(components, names, strict=True):
+def moved_sites(before: Mapping[str, str], now: Mapping[str, str]) -> list[str]:
+    """Sentences on sites that became one, and on those that came apart. before, now: the site of
+    every run."""
+    came: dict[str, list[str]] = {}
+    went: dict[str, list[str]] = {}
+    for old, new in sorted({(before[run], new) for run, new in now.items() if run in before}):
+        went.setdefault(old, []).append(new)
         # A run that was alone, at a site called like it, is no site that became part of one.
-        sites = {history.before[run] for run in runs if history.before.get(run, run) != run}
-        gone = sorted(sites - now)
-        if len(sites) > 1 and gone:
-            out.append(f"{listed(sorted(sites))} are one site now: {name}")
-    return out
-
-
-def _splits(
-    components: Sequence[Collection[str]], names: Sequence[str], history: SiteHistory
-) -> list[str]:
-    """A sentence for each site of the last merge that came apart."""
-    parts: dict[str, list[tuple[str, list[str]]]] = {}
-    for runs, name in zip(components, names, strict=True):
-        was: dict[str, list[str]] = {}
-        for run in sorted(runs):
-            if run in history.before:
-                was.setdefault(history.before[run], []).append(run)
-        for site, own in was.items():
-            parts.setdefault(site, []).append((name, own))
+        if before.get(old) != old:
+            came.setdefault(new, []).append(old)
+    gone = {*before.values()} - {*now.values()}
+    one = {new: old for new, old in came.items() if len(old) > 1 and gone & {*old}}
+    apart = {old: new for old, new in went.items() if len(new) > 1}
     return [
-        f"{site} came apart: " + "; ".join(f"{name} ({listed(own)})" for name, own in sorted(found))
-        for site, found in sorted(parts.items())
-        if len(found) > 1
+        *(f"{listed(old)} are one site now: {new}" for new, old in one.items()),
+        *(f"{old} came apart: {listed(new)}" for old, new in apart.items()),
     ]
 
 

@@ -14,6 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 from scipy.spatial import cKDTree
 
 from ..topology.arrays import FloatArray, IntArray
@@ -24,9 +25,9 @@ from ..topology.topomap import TopoMap
 from .fusion.joint_graph import JOINT, measured_turn
 from .result import MergeResult
 
-WITHIN_SIGMAS = 2.448
+WITHIN_SIGMAS = float(np.sqrt(-2 * np.log(0.05)))
 """95 % quantile of the error of a point in the plane, in sigmas of a coordinate (Rayleigh
-distribution: √(-2 ln 0.05))."""
+distribution)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -215,15 +216,15 @@ def _bending(matched: MatchedJunctions) -> float:
     own = rows == np.arange(k)[:, None]
     own[~own.any(axis=1), -1] = True  # junctions in one spot: leave the farthest out instead
     others = rows[~own].reshape(k, count)
-    best, best_score = matched.bending, -np.inf
-    for step in np.linspace(-4.0, 4.0, 33):
-        bending = float(matched.bending * np.exp(step))
+
+    def cost(log_ratio: float) -> float:
+        """Minus the log posterior of the bending, over what the noise suggests."""
+        bending = float(matched.bending * np.exp(log_ratio))
         xy, variance, *_ = _carried(matched.source, matched, others, bending)
         spread = variance + matched.sigma**2
         off = ((xy - matched.target) ** 2).sum(axis=1)
         # Junctions predict one another and are not independent: half the log likelihood.
-        score = -0.5 * float((off / (2 * spread) + np.log(spread)).sum())
-        score -= 0.5 * (step / TRANSFER.prior_log_sigma) ** 2
-        if score > best_score:
-            best, best_score = bending, score
-    return best
+        fit = float((off / (2 * spread) + np.log(spread)).sum()) / 2
+        return fit + (log_ratio / TRANSFER.prior_log_sigma) ** 2 / 2
+
+    return float(matched.bending * np.exp(minimize_scalar(cost).x))

@@ -83,15 +83,6 @@ def test_exports_mark_the_corridors_that_are_gone(topobatch, place, tmp_path, fo
         assert ("last_found" if form == "csv" else "gone") in text
 
 
-def test_explain_names_what_changed_between_two_runs(topobatch, place) -> None:
-    gone = json.loads(topobatch("changes", "-w", place.root, "--json").out)[0]
-    pair = gone["there"][0]["run"], gone["missing"][0]["run"]
-    told = " ".join(topobatch("explain", *pair, "-w", place.root).out.split())
-    u, v = gone["junctions"]
-    assert f"Note: {gone['kind']}: corridor" in told
-    assert f"between junctions {u} and {v} of" in told
-
-
 def test_calls_that_cannot_be(topobatch, place, tmp_path) -> None:
     assert "topobatch ingest" in topobatch("changes", "-w", tmp_path).error(1)
     assert "no component 9" in topobatch("changes", "--component", 9, "-w", place.root).error(2)

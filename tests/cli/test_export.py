@@ -83,7 +83,7 @@ def test_nodes_have_the_numbers_of_pictures(topobatch, buildings, tmp_path) -> N
 
 def test_components_go_to_files_of_their_own(topobatch, filled, tmp_path) -> None:
     document = read_json(filled.merged_json)
-    ids = [c["id"] for c in document["graph"]["components"]]
+    ids = [c["site"] for c in document["graph"]["components"]]
     out = tmp_path / "site.json"
     shown = topobatch("export", "merged", "-f", "nav2", "-o", out, "-w", filled.root)
     assert shown.code == 0
@@ -91,37 +91,17 @@ def test_components_go_to_files_of_their_own(topobatch, filled, tmp_path) -> Non
     assert shown.out.split() == [str(path) for path in expected]
     assert sorted(tmp_path.iterdir()) == expected
     one = topobatch(
-        "export", "merged", "-f", "nav2", "-o", "-", "--component", ids[-1], "-w", filled.root
+        "export", "merged", "-f", "nav2", "-o", "-", "--site", ids[-1], "-w", filled.root
     )
     assert json.loads(one.out) == json.loads(expected[-1].read_text())
     assert one.err == ""
-
-
-@pytest.mark.parametrize(("form", "gone"), [("nav2", ".geojson"), ("tum", ".x.recorded.tum")])
-def test_files_of_sites_that_are_no_more_go(topobatch, filled, tmp_path, form, gone) -> None:
-    root = tmp_path / "ws"
-    shutil.copytree(filled.root, root)
-    out = root / "exports"
-    call = ("export", "merged", "-f", form, "-w", root)
-    assert topobatch(*call).code == 0
-    record = root / "cache" / "exports" / "merged.json"
-    known = json.loads(record.read_text())
-    (out / f"north{gone}").touch()
-    (out / f"mine{gone}").touch()
-    record.write_text(json.dumps(known | {form: [*known[form], f"north{gone}"]}))
-    # An export of one site, or elsewhere, leaves all others.
-    assert topobatch(*call, "-o", tmp_path / f"elsewhere{gone}").code == 0
-    assert topobatch(*call, "--component", 0).code == 0
-    assert (out / f"north{gone}").exists()
-    assert topobatch(*call).code == 0
-    assert not (out / f"north{gone}").exists()
-    assert (out / f"mine{gone}").exists()
 
 
 def test_the_calls_that_cannot_be(topobatch, filled, tmp_path) -> None:
     run, w = run_of(filled), ("-w", filled.root)
     for call, told in (
         (["nobody", "-f", "nav2"], "no run, site, merge or pair A:B named nobody"),
+        ([run, "-f", "nav2", "--site", "0"], "goes with the merged map"),
         ([run, "-f", "nav2", "--component", "0"], "goes with the merged map"),
         (["merged", "-f", "nav2", "--component", "77"], "there is no component 77"),
         ([run, "-f", "csv", "-o", "-"], "do not go to the standard output"),
@@ -234,7 +214,7 @@ def test_maps_that_changed_since_the_merge_cost_the_times_only(topobatch, filled
     kept = path.read_text()
     other = json.loads(kept)
     other["nodes"][0]["observations"][0]["time_ns"] += 1
-    call = ("export", "merged", "-f", "nav2", "-o", "-", "--component", component["id"])
+    call = ("export", "merged", "-f", "nav2", "-o", "-", "--site", component["site"])
     with_times = topobatch(*call, "-w", filled.root)
     assert "abs_time_taken" in with_times.out
     try:
@@ -244,7 +224,7 @@ def test_maps_that_changed_since_the_merge_cost_the_times_only(topobatch, filled
         assert f"{run} has changed since" in shown.err
         assert "abs_time_taken" not in shown.out
         refused = topobatch(
-            "export", "merged", "-f", "g2o", "--component", component["id"], "-w", filled.root
+            "export", "merged", "-f", "g2o", "--site", component["site"], "-w", filled.root
         )
         assert refused.code == 1
         path.unlink()

@@ -112,9 +112,9 @@ def test_saved_maps_come_out_as_they_were_and_those_of_a_site_as_one(topobatch, 
     assert same.origin == pytest.approx(left.origin)
 
     assert topobatch("merge", "--all", "-q", *w(place)).code == 0
-    document = place.read_merged()
-    assert len(document.graph.components) == 1
-    (site,) = set(document.graph.sites.values())
+    result = place.read_result()
+    assert len(result.components) == 1
+    (site,) = set(result.sites.values())
     shown = topobatch("export", "-f", "grid", *w(place))
     assert (shown.code, shown.err) == (0, "")
     both, _ = read_saved_map(place.exports / f"{site}.yaml")

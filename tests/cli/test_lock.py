@@ -32,32 +32,6 @@ def locks(workspace):
     return json.loads(path.read_text())["locks"] if path.exists() else []
 
 
-@pytest.mark.parametrize(("merged", "at"), [(True, ()), (False, ("--at", "0,0"))])
-def test_what_may_be_a_copy_is_said_before_the_lock_is_kept_and_after(
-    topobatch, workspace, merged, at
-):
-    merge = ("merge", "--all", "-j", 1, "-w", workspace)
-    if merged:
-        assert topobatch(*merge).code == 0
-    done = topobatch("lock", "rows2", "rows1", "--same", *at, "-w", workspace)
-    assert done.code == 0
-    assert f"warning: by the maps of rows1 and rows2, {MAYBE_COPY}" in done.err
-    assert "topobatch explain rows1 rows2" in done.err
-    assert len(locks(workspace)) == 1
-    told = topobatch(*merge)
-    if not at:
-        assert (
-            f"warning: rows1 and rows2 are joined by a lock; by their maps {MAYBE_COPY}" in told.err
-        )
-        entries = json.loads((workspace / "merged.json").read_bytes())["merges"]
-        (entry,) = (e for e in entries if (e["a"], e["b"]) == ("rows1", "rows2"))
-        assert entry["accepted_by"] == "lock"
-        assert entry["reason"].endswith(f"{MAPS_ALONE} ambiguous, {MAYBE_COPY}")
-    # Also of the same merge once more, and where the lock is given again.
-    assert topobatch(*merge).err == told.err
-    assert MAYBE_COPY in topobatch("lock", "rows1", "rows2", "--same", "-w", workspace).err
-
-
 def test_what_the_maps_say_as_well_is_no_warning(topobatch, workspace):
     for call in (
         ("lock", "maze1", "maze2", "--same"),
@@ -70,7 +44,12 @@ def test_what_the_maps_say_as_well_is_no_warning(topobatch, workspace):
         assert (done.code, done.err) == (0, "")
 
 
-def test_of_runs_with_nothing_in_common_it_is_said(topobatch, workspace):
-    done = topobatch("lock", "maze1", "rows2", "--same", "-w", workspace)
-    assert "by the maps of maze1 and rows2, " in done.err
-    assert len(locks(workspace)) == 1
+def test_what_may_be_a_copy_is_said_by_the_merge(topobatch, workspace):
+    done = topobatch("lock", "rows2", "rows1", "--same", "-w", workspace)
+    assert (done.code, done.err) == (0, "")
+    told = topobatch("merge", "--all", "-j", 1, "-w", workspace)
+    assert f"warning: rows1 and rows2 are joined by a lock; by their maps {MAYBE_COPY}" in told.err
+    entries = json.loads((workspace / "merged.json").read_bytes())["merges"]
+    (entry,) = (e for e in entries if (e["a"], e["b"]) == ("rows1", "rows2"))
+    assert entry["accepted_by"] == "lock"
+    assert entry["reason"].endswith(f"{MAPS_ALONE} ambiguous, {MAYBE_COPY}")

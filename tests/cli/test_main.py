@@ -70,48 +70,6 @@ def test_a_full_disk_is_said_and_waited_for_by_nobody(logs, tmp_path):
     assert not list((tmp_path / "ws" / "maps").iterdir())  # half a run is none
 
 
-WORKERS = """
-import multiprocessing.forkserver, os, signal, time
-from topobatch.cli.process import forking_server, processes
-
-def work(to):
-    to.send(7)
-    time.sleep(60)
-
-if __name__ == "__main__":
-    context = forking_server()
-    {before}
-    ours, theirs = context.Pipe(duplex=False)
-    with processes(1, context) as pool:
-        pool.submit(work, theirs)
-        print(ours.recv(), flush=True)
-        {after}
-"""
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="workers come from a server")
-@pytest.mark.parametrize(
-    ("before", "after", "code"),
-    [
-        (
-            "os.kill(multiprocessing.forkserver._forkserver._forkserver_pid, signal.SIGINT)",
-            "raise SystemExit(3)",
-            3,
-        ),
-        ("pass", "os.kill(os.getpid(), signal.SIGKILL)", -9),
-    ],
-    ids=["a Ctrl-C does not end the server", "a worker ends with who started it"],
-)
-def test_workers(tmp_path, before, after, code):
-    """Its output is at its end only when every process that shares it has ended."""
-    script = tmp_path / "workers.py"
-    script.write_text(WORKERS.format(before=before, after=after))
-    command = [sys.executable, str(script)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
-    assert (done.returncode, done.stdout) == (code, "7\n"), done
-    assert "Traceback" not in done.stderr
-
-
 def test_the_options_of_the_papers_method_come_last(topobatch) -> None:
     for command in ("merge", "explain"):
         before, title, after = topobatch(command, "--help").out.partition(

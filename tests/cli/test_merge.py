@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from topobatch.cli.merge import MOST_AMBIGUOUS, _show
+from topobatch.cli.merge import MOST_SHOWN, _show
 from topobatch.cli.output import show
 from topobatch.cli.workspace import Workspace
 from topobatch.merge.result import Alignment, PairVerdict, Standing, Verdict
@@ -371,7 +371,7 @@ def test_settings_that_make_no_sense(topobatch, workspace):
 
 def test_a_merge_ends_with_its_sites_and_what_to_do_next(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    bits = [3.0, 9.0, 5.0, 4.0, 8.0, 6.0, 7.0]
+    bits = [3.0, 9.0, 5.0, 4.0, 8.0, 6.0, 7.0, 1.0, 2.0, 2.5]
     pairs = [
         PairVerdict(
             "b", f"c{k}", Verdict.AMBIGUOUS, False, found, "long", advice=f"drive {k}",
@@ -397,14 +397,14 @@ def test_a_merge_ends_with_its_sites_and_what_to_do_next(tmp_path, monkeypatch):
     show()
     _show(merge, Workspace(Path("topobatch-workspace")))
     assert shown[0] == "  b ? c1: ambiguous: 9.0 bits, 12.0 needed; too little"
-    assert shown[MOST_AMBIGUOUS] == "  and 2 more ambiguous: --verbose lists them"
-    assert shown[MOST_AMBIGUOUS + 1] == "  to settle b ? c1: drive 1"
-    assert shown[-8].startswith("171 pairs: 0 merged, 7 ambiguous")
+    assert shown[MOST_SHOWN] == "  and 2 more ambiguous: --verbose lists them"
+    assert shown[MOST_SHOWN + 1] == "  to settle b ? c1: drive 1"
+    assert shown[-8].startswith("171 pairs: 0 merged, 10 ambiguous")
     assert shown[-7] == "site north: 16 runs: n00, n01, n02, n03, n04, n05, n06, n07 and 8 more"
     assert shown[-6:-4] == ["site site-run1: 2 runs: run1, run9", "alone: b (lab)"]
     assert shown[-3:] == [
         "name a site: topobatch site run1 NAME",
-        "7 pairs are open; what to record to settle most: topobatch next",
+        "10 pairs are open; what to record to settle most: topobatch next",
         "all on one page: topobatch report; route graphs: topobatch export --format nav2",
     ]
     assert "  run1 + run9: helped" not in shown

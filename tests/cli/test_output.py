@@ -70,12 +70,12 @@ def test_a_bar_tells_the_speed_of_fresh_work(monkeypatch, capsys):
     monkeypatch.setattr("rich.console.monotonic", lambda: now[0])
     monkeypatch.setenv("COLUMNS", "120")
     show()
-    with progress("matching", 190, "pairs") as advance:
+    with progress("ingesting", 190) as advance:
         for seconds in range(5):
             now[0] = seconds
-            advance(96 + seconds, kept=96)
+            advance(96 + seconds, f"{seconds}/30 logs", kept=96)
     shown = capsys.readouterr().err
-    assert "100 of 190 pairs, 96 of them kept left: " in shown
+    assert "4/30 logs left: " in shown
     assert "0:01:30" in shown
     with progress("writing", 0):
         now[0] += 20

@@ -1,4 +1,4 @@
-"""The process as it was started: closed streams, signals, limits of memory."""
+"""The process as it was started: closed streams, broken pipes, signals."""
 
 from __future__ import annotations
 
@@ -29,6 +29,11 @@ def test_closed_streams_are_no_error(logs, tmp_path):
     assert not any(
         b"no such file" in path.read_bytes() for path in tmp_path.rglob("*.*") if path.is_file()
     )
+
+
+def test_a_reader_who_has_enough_is_no_error():
+    done = shell('"$@" | head -1', "schema", "map")
+    assert (done.stdout, done.stderr) == ("{\n", "")
 
 
 def test_signals_end_it_quietly(logs, tmp_path):

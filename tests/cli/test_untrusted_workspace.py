@@ -46,7 +46,7 @@ def test_names_in_cache_records_remove_nothing(topobatch, reset_logs, victim, tm
     assert sorted(p.name for p in maps.iterdir()) == ["other.json", "run.json", "run.rrd"]
 
 
-@pytest.mark.parametrize("name", ["maps", "cache", "cache/ingest", "cache/merged"])
+@pytest.mark.parametrize("name", ["maps", "cache", "cache/ingest"])
 def test_a_folder_that_is_a_link_is_refused(topobatch, logs, victim, tmp_path, name):
     link = tmp_path / "ws" / name
     link.parent.mkdir(parents=True)

@@ -102,24 +102,6 @@ def test_nothing_changed_where_nothing_did() -> None:
     assert not any(c.sure for c in changes(result, 0, maps))
 
 
-def test_a_junction_that_became_a_dead_end_tells_of_what_it_lost() -> None:
-    """It lost two corridors of three, so that the merge takes it for another place; but the third
-    leads there from a junction that both runs know."""
-    result, maps, _ = observed(0, closed=0.1, kind="maze", junctions=40, faults="none")
-    lost = [c for c in changes(result, 0, maps) if c.sure]
-    members = result.fused.members
-    torn = [c for c in lost if {"monday"} in [set(members[j]) for j in c.junctions]]
-    assert len(torn) == 2
-    for change in torn:
-        assert change.kind == ChangeKind.GONE
-        (witness,) = change.missing
-        assert witness.passes > sum(
-            int(np.sum(maps["tuesday"].observation_vertex == v))
-            for j in change.junctions
-            for v in members[j].get("tuesday", ())
-        )
-
-
 def test_a_corridor_gone_with_the_junction_at_its_end_is_one_change(draw) -> None:
     """Where it left a straight corridor, the later runs drive by without detecting a junction."""
     gone, end = ((1, 0), (1, 1)), (1, 0)

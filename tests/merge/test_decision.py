@@ -101,13 +101,6 @@ def test_a_rounded_number_of_pairs_is_said_to_be_one():
     )
 
 
-def test_what_a_narrow_terminal_cuts_is_marked():
-    narrow = lines(MERGED, width=48)
-    assert max(map(len, narrow)) <= 48
-    assert any("…" in line for line in narrow if "corridor" in line)
-    assert not any("…" in line for line in lines(MERGED, width=48, whole=True))
-
-
 def test_the_document_adds_up_too():
     for told in ALL:
         document = json.loads(json.dumps(to_document(told)))

@@ -72,11 +72,8 @@ def test_pieces_that_share_places_become_one(halves, maze):
     assert "pieces" not in whole.info
     assert whole.info["warnings"] == [
         "a gap",
-        "the odometry broke: 2 pieces, all joined by what they saw",
+        "the odometry broke: 2 pieces, 1 joined to another by what they saw",
     ]
-    joins = [c for c in whole.closures if c.accepted]
-    assert len(joins) > 10
-    assert all(c.time_a_ns < HOUR_NS <= c.time_b_ns for c in joins)
     document = map_to_document(whole)
     assert map_to_document(map_from_document(document)) == document
 
@@ -92,7 +89,7 @@ def test_pieces_that_share_nothing_become_runs_of_their_own(halves, maze, other_
     assert other.xy == pytest.approx(elsewhere.xy + np.array([500.0, 0.0]))
     assert other.closures == (closure,)
     assert closure not in whole.closures
-    said = "the odometry broke: 3 pieces, of which 1 was joined to another by what they saw; "
+    said = "the odometry broke: 3 pieces, 1 joined to another by what they saw; "
     assert other.info["warnings"][-1] == said + "on their own: run#2"
 
 

@@ -7,6 +7,7 @@ import itertools
 from topobatch.merge.sites import (
     Origin,
     SiteHistory,
+    moved_sites,
     site_names,
 )
 
@@ -27,43 +28,55 @@ def before(**sites):
 
 def test_a_new_site_is_called_after_its_folder() -> None:
     known = origins("a", "b", "c", "d", "e", a="north", b="north", c="south", d="south")
-    assert named([["a", "b"], ["c", "d"], ["e"]], known=known)[0] == ["north", "south", "e"]
+    assert named([["a", "b"], ["c", "d"], ["e"]], known=known) == ["north", "south", "e"]
     known = origins("hall-1", "hall-2", folder=("north", "Logs"))
-    assert named([["hall-1", "hall-2"]], known=known)[0] == ["hall"]
+    assert named([["hall-1", "hall-2"]], known=known) == ["hall"]
     for runs, site in (
         (["E5_01", "E5_02"], "E5"),
         (["lab_2024-05-01", "lab_2024-05-17"], "lab"),
         (["floor1", "floor12"], "floor"),
         (["2015-04", "2015-09"], "site-2015-04"),
     ):
-        assert named([runs], known=origins(*runs))[0] == [site]
+        assert named([runs], known=origins(*runs)) == [site]
 
 
 def test_no_two_sites_have_one_name_nor_that_of_something_else() -> None:
     known = origins("a", "b", "c", "d", a="north", b="north", c="south", d="south")
-    names, _ = named([["a", "b"], ["c", "d"]], known=known, taken={"north"})
+    names = named([["a", "b"], ["c", "d"]], known=known, taken={"north"})
     assert names == ["site-a", "south"]
     history = SiteHistory(before=before(lone=["a", "b"]))
-    assert named([["a", "b"], ["lone"]], history)[0] == ["lone", "lone-2"]
+    assert named([["a", "b"], ["lone"]], history) == ["lone", "lone-2"]
 
 
 def test_names_stay_as_runs_come_and_go() -> None:
     history = SiteHistory(before=before(north=["b", "c"], south=["d", "e"]))
-    names, told = named([["a", "b", "c"], ["d", "e", "f"], ["g"]], history)
-    assert (names, told) == (["north", "south", "g"], [])
-    names, told = named([["d"], ["c"]], history)
-    assert (names, told) == (["south", "north"], [])
+    names = named([["a", "b", "c"], ["d", "e", "f"], ["g"]], history)
+    assert names == ["north", "south", "g"]
+    names = named([["d"], ["c"]], history)
+    assert names == ["south", "north"]
 
 
-def test_a_union_keeps_the_name_of_most_runs_and_is_told() -> None:
+def test_a_union_keeps_the_name_of_most_runs() -> None:
     history = SiteHistory(before=before(north=["a", "b", "c"], annex=["d", "e"]))
-    names, told = named([["a", "b", "c", "d", "e"]], history)
+    names = named([["a", "b", "c", "d", "e"]], history)
     assert names == ["north"]
-    assert told == ["annex, north are one site now: north"]
+
+
+def test_sites_that_became_one_or_came_apart_are_told() -> None:
+    was = before(north=["a", "b", "c"], annex=["d", "e"], f=["f"])
+    union = before(north=["a", "b", "c", "d", "e", "f"])
+    assert moved_sites(was, union) == ["annex, north are one site now: north"]
+    assert moved_sites(was, {**was, "f": "north"}) == []
+    apart = {**was, "c": "annex", "e": "e"}
+    assert moved_sites(was, apart) == [
+        "annex came apart: annex, e",
+        "north came apart: annex, north",
+    ]
+    assert moved_sites(was, {"a": "north", "g": "g"}) == []
 
 
 def test_a_given_name_comes_before_one_that_was_made_up() -> None:
     history = SiteHistory({"annex": ("d",)}, before(north=["a", "b", "c"], annex=["d", "e"]))
-    assert named([["a", "b", "c", "d", "e"]], history)[0] == ["annex"]
+    assert named([["a", "b", "c", "d", "e"]], history) == ["annex"]
     history = SiteHistory({"annex": ("d",), "north": ("a",)}, history.before)
-    assert named([["a", "b", "c", "d", "e"]], history)[0] == ["north"]
+    assert named([["a", "b", "c", "d", "e"]], history) == ["north"]
