@@ -6,13 +6,12 @@ matplotlib is imported by this module. Sizes on the page are in points (1/72 inc
 from __future__ import annotations
 
 import io
-import re
 import warnings
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from math import ceil, floor, log10
+from math import ceil, floor, inf
 from textwrap import wrap
 from types import MappingProxyType
 from typing import Any, Literal
@@ -25,16 +24,17 @@ from matplotlib.font_manager import FontProperties
 from matplotlib.lines import Line2D
 from matplotlib.patches import PathPatch
 from matplotlib.path import Path as Outline
+from matplotlib.ticker import MaxNLocator
 from matplotlib.transforms import ScaledTranslation
 from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 
 from ..merge.decision_text import short
 from ..topology.arrays import FloatArray
 from ..topology.run import Grid
-from ..topology.se2 import apply
+from ..topology.se2 import turned
 from ..topology.wording import legible
-from .geometry import Marker
-from .palette import Order, Theme
+from .geometry import PENS, Marker
+from .palette import LARGE, MEDIUM, SMALL, THIN, Theme
 
 Format = Literal["svg", "png"]
 
@@ -44,26 +44,27 @@ MARKERS: Mapping[Marker, str] = MappingProxyType(
 """Shapes by the names that matplotlib has for them."""
 
 POINTS_PER_INCH = 72.0
+PEN_PT = 2.0
+"""Largest width of a corridor's line, the unit of all marks."""
+
 TEXT_PT, SMALL_PT, HEADING_PT = 8.0, 6.5, 11.0
-LINE_PT = 13.0
+LINE_PT = 1.5 * TEXT_PT
 """Line spacing of text. The page's margin and the gaps between columns of the key are as wide; the
 scale bar, and the sample mark of an entry of the key, have twice as much room."""
 
 LETTER = 0.62
 """Estimated width of a letter over the font size."""
 
-TALLEST = 1.6
+TALLEST = 1.5
 """Largest ratio of height to width of the drawing; a taller one is scaled down to it."""
 
 TURNS = np.radians([0, 45, -45, 90, -90, 135, -135, 180])
 FARTHER = (1.0, 1.5, 2.0)
-"""By how much a text is turned round what it names, and moved away from it, off other texts."""
+"""By how much a text is turned round what it names, and moved away from it, off other texts. The
+first place is between corridors, which run along the axes in most maps."""
 
 MOST_TOLD = 3000
-"""More corridors or junctions than this are drawn in one piece, without tooltips."""
-
-SAMPLE_LINE_PT, SAMPLE_DOT_PT = (2.0, 4.0), (4.0, 7.5)
-"""Least and largest width of a line and of a mark in the key."""
+"""Of more marks the others have no tooltips."""
 
 PNG_DPI = 150
 """Resolution of a PNG [pixels per inch]."""
@@ -79,17 +80,16 @@ _STYLE: dict[Any, Any] = {
 }
 _SVG = "http://www.w3.org/2000/svg"
 _XLINK = "http://www.w3.org/1999/xlink"
-_NUMBERS = ("d", "x", "y", "transform", "width", "height")
-"""SVG attributes whose numbers are rounded."""
 
 
 @dataclass(slots=True)
 class Canvas:
     """A drawing of the rectangle between two corners, `low` and `high`, (2,) each [m].
 
-    width_pt: width of the whole page. Text may hold any characters: `legible` replaces unprintable
-    ones, and what is too long is shortened. What is drawn with a `key` is an entry of the key below
-    the drawing: a sample of the mark, and this label.
+    width_pt: width of the whole page; usual_m: length of a usual corridor, of which a pen is a
+    small share. What is drawn later lies above. Text may hold any characters: `legible` replaces
+    unprintable ones, and what is too long is shortened. What is drawn with a `key` is an entry of
+    the key below the drawing: a sample of the mark, and this label.
     """
 
     low: FloatArray
@@ -97,6 +97,7 @@ class Canvas:
     theme: Theme
     width_pt: float = 720.0
     name: str = "drawing"
+    usual_m: float = inf
     figure: Figure = field(init=False)
     _axes: Any = field(init=False)
     _titles: dict[str, str] = field(init=False, default_factory=dict)
@@ -128,34 +129,56 @@ class Canvas:
         """Scale of the drawing."""
         return float(self._size_pt[0] / max(float(self.high[0] - self.low[0]), 1e-6))
 
+    @property
+    def pen_m(self) -> float:
+        """Width of a corridor's line [m]."""
+        return self._pen_pt / self.points_per_m
+
+    @property
+    def _pen_pt(self) -> float:
+        return min(PEN_PT, self.points_per_m * self.usual_m / PENS)
+
     def lines(
         self,
         paths: Sequence[FloatArray],
-        colour: str,
-        width_pt: float,
+        colours: str | Sequence[str],
+        pens: float = 1.0,
         *,
-        order: Order = Order.CORRIDOR,
         tips: Sequence[str] = (),
         key: str = "",
     ) -> None:
-        """Draw polylines, (k, 2) each [m], in one colour. tips: the tooltip in an SVG of each, or
-        one of all."""
-        if _each(tips):
-            for path, own in zip(paths, tips, strict=True):
-                self.lines([path], colour, width_pt, order=order, tips=[own], key=key)
+        """Draw polylines, (k, 2) each [m], in one colour or one each. tips: the tooltip in an SVG
+        of each, or one of all."""
+        inks = [colours] * len(paths) if isinstance(colours, str) else colours
+        for rows, own in self._told_apart(tips, inks):
+            if rows:
+                self._line([paths[k] for k in rows], inks[rows[0]], pens, own, key)
+
+    def _told_apart(
+        self, tips: Sequence[str], inks: Sequence[str]
+    ) -> Iterator[tuple[list[int], Sequence[str]]]:
+        """Rows that are drawn in one piece, with their tooltip: each by itself where each has one,
+        else those of one colour together."""
+        if 1 < len(tips) <= MOST_TOLD - len(self._titles):
+            yield from (([k], tips[k : k + 1]) for k in range(len(tips)))
             return
-        if not paths:
-            return
-        self._note(key, _line(colour, float(np.clip(width_pt, *SAMPLE_LINE_PT))))
+        rows: dict[str, list[int]] = {}
+        for k, ink in enumerate(inks):
+            rows.setdefault(ink, []).append(k)
+        yield from ((own, tips if len(tips) == 1 else ()) for own in rows.values())
+
+    def _line(
+        self, paths: Sequence[FloatArray], ink: str, pens: float, tips: Sequence[str], key: str
+    ) -> None:
+        self._note(key, _line(ink, PEN_PT * min(pens, MEDIUM)))
         codes = [np.r_[Outline.MOVETO, np.full(len(p) - 1, Outline.LINETO)] for p in paths]
         patch = PathPatch(
             Outline(np.concatenate(paths), np.concatenate(codes)),
             facecolor="none",
-            edgecolor=colour,
-            linewidth=width_pt,
+            edgecolor=ink,
+            linewidth=pens * self._pen_pt,
             capstyle="round",
             joinstyle="round",
-            zorder=order,
         )
         self._add(patch, tips)
 
@@ -163,28 +186,24 @@ class Canvas:
         self,
         xy: FloatArray,
         colour: str,
-        size_pt: float,
+        pens: float = MEDIUM,
         *,
-        order: Order = Order.JUNCTION,
         tips: Sequence[str] = (),
         ring: bool = False,
         marker: Marker = "circle",
         key: str = "",
     ) -> None:
         """Draw filled marks, or rings, at xy (n, 2) [m]. tips: as of `lines`."""
-        if len(xy) == 0:
-            return
-        size = float(np.clip(size_pt, *SAMPLE_DOT_PT))
-        self._note(key, self._markers(xy[:0], colour, size, marker, ring=ring))
-        each = [([k], tips[k : k + 1]) for k in range(len(xy))] if _each(tips) else [(..., tips)]
-        for rows, own in each:
-            line = self._markers(xy[rows], colour, size_pt, marker, ring=ring)
-            line.set_zorder(order)
-            self._add(line, own)
+        for rows, own in self._told_apart(tips, [colour] * len(xy)):
+            self._note(
+                key, self._markers(xy[:0], colour, min(pens, LARGE), PEN_PT, marker, ring=ring)
+            )
+            marks = self._markers(xy[rows], colour, pens, self._pen_pt, marker, ring=ring)
+            self._add(marks, own)
 
     def run(self, name: str, colour: str | None) -> None:
         """Add a run to the key, or without a colour the name of the site whose runs follow."""
-        self._runs.append((name, None if colour is None else _line(colour, SAMPLE_LINE_PT[0])))
+        self._runs.append((name, None if colour is None else _line(colour, PEN_PT)))
 
     def _note(self, key: str, sample: Line2D) -> None:
         """Add an entry to the key, unless there is one of this name."""
@@ -192,7 +211,14 @@ class Canvas:
             self._marks.setdefault(key, sample)
 
     def _markers(
-        self, xy: FloatArray, colour: str, size_pt: float, marker: Marker, *, ring: bool
+        self,
+        xy: FloatArray,
+        colour: str,
+        pens: float,
+        pen_pt: float,
+        marker: Marker,
+        *,
+        ring: bool,
     ) -> Line2D:
         """Marks at xy (n, 2) [m]."""
         return Line2D(
@@ -200,15 +226,15 @@ class Canvas:
             xy[:, 1],
             linestyle="none",
             marker=MARKERS[marker],
-            markersize=size_pt,
+            markersize=pens * pen_pt,
             markerfacecolor="none" if ring else colour,
             markeredgecolor=colour if ring else self.theme["paper"],
-            markeredgewidth=1.2 if ring else 0.5,
+            markeredgewidth=THIN * pen_pt,
         )
 
     def cells(self, grid: Grid, colour: str, alpha: float = 1.0, key: str = "") -> None:
         """Draw the occupied cells of a grid that lies along the axes."""
-        self._note(key, _line(colour, SAMPLE_LINE_PT[1]))
+        self._note(key, _line(colour, SMALL * PEN_PT))
         pixels = np.zeros((*grid.free.shape, 4))
         pixels[~grid.free & ~grid.unknown] = (*to_rgb(colour), alpha)
         x, y, _ = grid.origin
@@ -219,31 +245,32 @@ class Canvas:
             extent=(x, x + wide, y, y + high),
             aspect="auto",
             interpolation="none",
-            zorder=Order.WALL,
+            zorder=len(self._axes.get_children()),
         )
         picture.set_clip_on(False)
         # What is drawn as a picture must not move the corners.
         self._axes.set(xlim=(self.low[0], self.high[0]), ylim=(self.low[1], self.high[1]))
 
-    def words(
-        self,
-        at: FloatArray,
-        text: str,
-        *,
-        size_pt: float = TEXT_PT,
-        bold: bool = False,
-        of: FloatArray | None = None,
-    ) -> None:
-        """Write a text centred at a point (2,) [m]. of: the point (2,) that it names, round which
-        and away from which it is moved off other words."""
+    def words(self, xy: FloatArray, texts: Sequence[str], *, bold: bool = False) -> None:
+        """Write a text beside each of the points (n, 2) [m] that they name, off other texts."""
+        size_pt = TEXT_PT if bold else SMALL_PT
+        away_m = size_pt / self.points_per_m
+        aside = np.array([turned(np.array([away_m, away_m]), turn) for turn in TURNS])
+        for at, text in zip(xy, texts, strict=True):
+            places = np.concatenate([at + far * aside for far in FARTHER])
+            self._write(places, text, size_pt, bold=bold)
+
+    def title(self, top: FloatArray, text: str) -> None:
+        """Write a text below a point (2,) [m]."""
+        self._write(top[None] - np.array([0.0, TEXT_PT / self.points_per_m]), text, TEXT_PT)
+
+    def _write(self, places: FloatArray, text: str, size_pt: float, *, bold: bool = False) -> None:
+        """Write a text centred at that one of the places (n, 2) which other texts leave freest."""
         text = legible(text)
-        half = np.array([LETTER * (len(text) + 0.5), 1.2]) * size_pt / (2 * self.points_per_m)
-        places = [at]
-        if of is not None:
-            around = [apply(np.array([0.0, 0.0, turn]), at - of) for turn in TURNS]
-            places = [of + far * aside for far in FARTHER for aside in around]
+        wide, high = LETTER * (len(text) + 0.5), LINE_PT / TEXT_PT
+        half = np.array([wide, high]) * size_pt / (2 * self.points_per_m)
         written = np.reshape(self._written, (-1, 4))
-        off = np.abs(np.array(places)[:, None] - written[:, :2]) - half - written[:, 2:]
+        off = np.abs(places[:, None] - written[:, :2]) - half - written[:, 2:]
         over = np.maximum(-off.max(axis=-1), 0.0).sum(axis=1)
         at = places[int(over.argmin())]
         self._written.append(np.concatenate([at, half]))
@@ -257,13 +284,14 @@ class Canvas:
             "fontweight": "bold" if bold else "normal",
             "fontfamily": "sans-serif",
             "color": self.theme["ink"],
-            "zorder": Order.WORDS,
+            "zorder": inf,
             "parse_math": False,  # run names may hold dollar signs
         }
 
     def _add(self, artist: Any, tips: Sequence[str] = ()) -> None:
-        """Draw an artist, also beyond the corners; one tip becomes its tooltip."""
+        """Draw an artist above the others, also beyond the corners; one tip becomes its tooltip."""
         artist.set_clip_on(False)
+        artist.set_zorder(len(self._axes.get_children()))
         if len(tips) == 1:
             gid = f"{self.name}-{len(self._titles)}"
             artist.set_gid(gid)
@@ -280,7 +308,7 @@ class Canvas:
             groups: list[list[tuple[str, Line2D | None]]] = [[*self._marks.items()], self._runs]
             for group in filter(None, groups):
                 rows = self._draw_key(group, below)
-                below += LINE_PT * rows + 6.0
+                below += LINE_PT * (rows + 0.5)
 
     def _write_heading(self, title: str, *others: str) -> None:
         """Write the title and lines below it, upwards from the drawing's upper edge."""
@@ -293,7 +321,8 @@ class Canvas:
             self._axes.text(0.0, 1.0, line, va="bottom", transform=above, **font)
 
     def _draw_scale_bar(self) -> None:
-        length = round_length(0.2 * float(self.high[0] - self.low[0]))
+        wide = float(self.high[0] - self.low[0])
+        length = float(MaxNLocator(5, steps=[1, 2, 5, 10]).tick_values(0.0, wide)[1])
         bar = AnchoredSizeBar(
             self._axes.transData,
             length,
@@ -304,7 +333,7 @@ class Canvas:
             color=self.theme["ink"],
             fontproperties=FontProperties(size=TEXT_PT),
             bbox_to_anchor=(0.0, 0.0),
-            bbox_transform=self._below(4.0),
+            bbox_transform=self._below(TEXT_PT / 2),
         )
         self._add(bar)
 
@@ -357,16 +386,13 @@ class Canvas:
         return out.getvalue() if form == "png" else self._tidied(out.getvalue())
 
     def _tidied(self, svg: bytes) -> bytes:
-        """The SVG with tooltips and numbers rounded to two decimals."""
+        """The SVG with tooltips."""
         ET.register_namespace("", _SVG)
         ET.register_namespace("xlink", _XLINK)
         root = ET.fromstring(svg)
         for about in root.findall(f"{{{_SVG}}}metadata"):
             root.remove(about)
         for node in root.iter():
-            for name in _NUMBERS:
-                if name in node.attrib:
-                    node.set(name, _NUMBER.sub(_two_decimals, " ".join(node.attrib[name].split())))
             tip = self._titles.get(node.get("id", ""))
             if tip is not None:
                 title = ET.Element(f"{{{_SVG}}}title")
@@ -374,13 +400,6 @@ class Canvas:
                 node.insert(0, title)
         text: bytes = ET.tostring(root, encoding="utf-8", xml_declaration=True)
         return text + b"\n"
-
-
-_NUMBER = re.compile(r"-?\d+\.\d+")
-
-
-def _two_decimals(found: re.Match[str]) -> str:
-    return f"{float(found[0]) + 0.0:.2f}".rstrip("0").rstrip(".")
 
 
 @contextmanager
@@ -397,19 +416,6 @@ def _line(colour: str, width_pt: float) -> Line2D:
     return Line2D([], [], color=colour, linewidth=width_pt)
 
 
-def _each(tips: Sequence[str]) -> bool:
-    """Whether marks are drawn one by one, each with its tooltip."""
-    return 1 < len(tips) <= MOST_TOLD
-
-
 def letters(room_pt: float, size_pt: float) -> int:
     """About how many letters have room, at least one."""
     return max(floor(room_pt / (LETTER * size_pt)), 1)
-
-
-def round_length(most_m: float) -> float:
-    """The largest of 1, 2 and 5 times a power of ten that is at most `most_m` [m]."""
-    unit = 10.0 ** floor(log10(max(most_m, 1e-3)))
-    return unit * max(
-        step for step in (1.0, 2.0, 5.0) if step * unit <= most_m * (1 + 1e-9) or step == 1
-    )

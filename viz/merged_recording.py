@@ -16,19 +16,9 @@ from ..topology.run import Grid
 from ..topology.se2 import apply
 from ..topology.topomap import TopoMap
 from ..topology.turning_vertices import with_turning_points
-from . import palette
-from .geometry import (
-    LARGE,
-    MEDIUM,
-    SHEET_MARGIN,
-    SMALL,
-    Strand,
-    bounds,
-    contradiction_spots,
-    pen_m,
-    strands,
-)
+from .geometry import Strand, bounds, contradiction_spots, pen_m, strands
 from .pages import merge_page
+from .palette import DARK, LARGE, MEDIUM, SMALL, Colour, Order
 from .parts import Part, colours_of, lay_out
 from .recording import (
     UP,
@@ -61,7 +51,7 @@ def write_merged_recording(path: Path, result: MergeResult, maps: Sequence[TopoM
     """
     by_name = _by_name(result, maps)
     colours = colours_of(result)
-    pen = pen_m([result.fused])
+    pen = pen_m(result.fused)
 
     def fill(recording: Recording) -> rrb.Blueprint:
         walls = _walls_by_component(result, by_name)
@@ -79,7 +69,7 @@ def write_merged_recording(path: Path, result: MergeResult, maps: Sequence[TopoM
         for part in parts:
             _ribbons(recording, result.fused, part, colours, pen)
             path, own = (FUSED, part.name, "branches never driven"), home == part.component.id
-            write_branches(recording, path, result.fused, free & own, pen=pen, colors=palette.FAINT)
+            write_branches(recording, path, result.fused, free & own, colour=DARK["faint"], pen=pen)
             _junctions(recording, result.fused, part, pen)
             if part.component.id in walls:
                 write_grid(recording, (FUSED, part.name, "walls"), walls[part.component.id])
@@ -109,7 +99,7 @@ def _by_name(result: MergeResult, maps: Sequence[TopoMap]) -> dict[str, TopoMap]
 
 def _blueprint(sheet: list[Cell]) -> rrb.Blueprint:
     """The fused map and those of the runs, beside them the summary."""
-    low, high = bounds([corners_of(sheet)], margin=SHEET_MARGIN)
+    low, high = bounds([corners_of(sheet)])
     maps = [map_view([root], name, low, high) for root, name in ((FUSED, "Map"), (RUNS, "Runs"))]
     summary = rrb.TextDocumentView(origin="/summary", name="Summary")
     root = rrb.Horizontal(
@@ -118,9 +108,7 @@ def _blueprint(sheet: list[Cell]) -> rrb.Blueprint:
     return blueprint(root, rrb.TimePanel(state="hidden"))
 
 
-def _run_names(
-    recording: Recording, parts: Sequence[Part], colours: Mapping[str, palette.Colour]
-) -> None:
+def _run_names(recording: Recording, parts: Sequence[Part], colours: Mapping[str, Colour]) -> None:
     """Write the names of the runs of each site in their colours, one below the other."""
     runs, at = [], []
     for part in parts:
@@ -166,7 +154,7 @@ def _ribbons(
     recording: Recording,
     fused: FusedMap,
     part: Part,
-    colours: Mapping[str, palette.Colour],
+    colours: Mapping[str, Colour],
     pen: float,
 ) -> None:
     """Write each corridor as parallel lines of the runs that drove it."""
@@ -179,10 +167,10 @@ def _ribbons(
         recording.lines(
             (FUSED, part.name, "corridors", run),
             [strand.path for strand in own],
-            palette.Order.CORRIDOR,
+            Order.CORRIDOR,
+            colours[run],
             corridor_attributes(fused, edges) | {"driven_by": [", ".join(runs) for runs in drove]},
-            radii=[pen * strand.share / 2 for strand in own],
-            colors=colours[run],
+            radii=pen / 2,
         )
 
 
@@ -192,7 +180,7 @@ def _junctions(recording: Recording, fused: FusedMap, part: Part, pen: float) ->
     if len(rows) == 0:
         return
     members = [fused.members[i] for i in rows.tolist()]
-    several = np.array([len(runs) > 1 for runs in members])
+    several = [len(runs) > 1 for runs in members]
     values = {
         "vertex": rows,
         "kind": [fused.kind[i] for i in rows.tolist()],
@@ -204,10 +192,10 @@ def _junctions(recording: Recording, fused: FusedMap, part: Part, pen: float) ->
     recording.dots(
         (FUSED, part.name, "junctions"),
         fused.xy[rows],
-        palette.Order.JUNCTION,
+        Order.JUNCTION,
+        [DARK["ink" if own else "single"] for own in several],
         values,
-        radii=pen * np.where(several, LARGE, MEDIUM),
-        colors=np.where(several[:, None], palette.WHITE, palette.SINGLE).astype(np.uint8),
+        radii=pen * np.where(several, LARGE, MEDIUM) / 2,
         labels=list(map(str, rows.tolist())),
         show_labels=False,
     )
@@ -240,27 +228,26 @@ def _contradictions(
         if spots:
             path, at = (FUSED, name, "contradictions"), [xy for xy, _ in spots]
             values = {"contradiction": [words for _, words in spots]}
-            look = {"radii": LARGE * pen, "colors": palette.REFUSED}
-            recording.dots(path, at, palette.Order.CONTRADICTION, values, **look)
+            look = {"radii": LARGE * pen / 2}
+            recording.dots(path, at, Order.CONTRADICTION, DARK["against"], values, **look)
 
 
-def _own_map(
-    recording: Recording, path: PathParts, m: TopoMap, colour: palette.Colour, pen: float
-) -> None:
+def _own_map(recording: Recording, path: PathParts, m: TopoMap, colour: Colour, pen: float) -> None:
     """Write a run's own map below its entity path, in its own frame and in one colour."""
     if len(m.source):
         values = corridor_attributes(m, np.arange(len(m.source)))
-        look = {"radii": pen / 2, "colors": colour}
-        recording.lines((*path, "corridors"), m.paths, palette.Order.CORRIDOR, values, **look)
+        recording.lines(
+            (*path, "corridors"), m.paths, Order.CORRIDOR, colour, values, radii=pen / 2
+        )
     if len(m):
         values = {"vertex": np.arange(len(m)), "kind": list(m.kind), "branches": m.degree}
         recording.dots(
             (*path, "junctions"),
             m.xy,
-            palette.Order.JUNCTION,
+            Order.JUNCTION,
+            colour,
             values,
-            radii=SMALL * pen,
-            colors=colour,
+            radii=SMALL * pen / 2,
             labels=[*map(str, range(len(m)))],
             show_labels=False,
         )

@@ -15,12 +15,8 @@ from ..topology.arrays import FloatArray, IntArray
 from ..topology.se2 import apply, inverse
 from ..topology.wording import counted
 from . import palette
-from .geometry import MIN_SIDE_M, bounds
+from .geometry import bounds
 from .sheet import Cell, arrange, upright_rad
-
-MARGIN, ALONE_MARGIN = 0.18, 0.04
-"""Margin of a cell over the median map's extent: with room for a title, and for a single map, which
-has none."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,10 +76,7 @@ def lay_out(
             low, high = bounds([apply(upright, points[k])], margin=0.0)
             left = apply(inverse(upright), [low[0] - aside * (high[0] - low[0]), low[1]])
             points[k] = np.concatenate([points[k], left[None]])
-    share = MARGIN if len(order) > 1 else ALONE_MARGIN
-    extents = [float(np.ptp(p, axis=0).max()) for p in points if len(p)]
-    usual_m = max(float(np.median(extents)) if extents else 0.0, MIN_SIDE_M)
-    cells = arrange(points, turns, share * usual_m)
+    cells = arrange(points, turns)
     junction = ~fused.is_turned
     places = [int(junction[rows].sum()) for rows in vertices]
     return [Part(*row) for row in zip(order, cells, vertices, edges, places, strict=True)]
@@ -103,9 +96,9 @@ def ranks(result: MergeResult) -> dict[str, int]:
 
 def colours_of(result: MergeResult) -> dict[str, palette.Colour]:
     """The viewer's colour of each run; runs that merged with none are grey."""
-    rank = ranks(result)
+    rank, theme = ranks(result), palette.DARK
     return {
-        run: palette.rgb(palette.DARK.run(rank[run])) if len(c.poses) > 1 else palette.SINGLE
+        run: theme.run(rank[run]) if len(c.poses) > 1 else theme["single"]
         for c in result.components
         for run in c.poses
     }

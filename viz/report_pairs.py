@@ -15,20 +15,21 @@ from ..merge.decision_text import advice, because, digits_of, itemised, needs, r
 from ..merge.result import Alignment, MergeResult, PairVerdict, Standing, home_of, shown_bits
 from ..topology.topomap import TopoMap
 from ..topology.wording import legible
-from .palette import LIGHT
+from .palette import BOTH, RING, SMALL, THIN
 from .parts import CLASS, runs_in_order, spans_of, strongest, verdict_matrix
-from .report_maps import BAD, CHOSEN, GOOD, INK, NUMBERS, blank_figure, map_figure, own_map
+from .report_maps import CHOSEN, PEN_PX, blank_figure, map_figure, own_map, write_beside
+
+FAINT = "50"
+"""The opacity, in hexadecimal, of what lies under other marks or says little."""
 
 STANDING_COLOURS = {
-    Standing.MERGED: "#37b26c",
-    Standing.JOINED: "#37b26c66",
-    Standing.AMBIGUOUS: "#f0a020",
-    Standing.KEPT_OUT: "#d43a3a",
-    Standing.UNRELATED: "#8a929c2e",
+    Standing.MERGED: BOTH["green"],
+    Standing.JOINED: BOTH["green"] + FAINT,
+    Standing.AMBIGUOUS: BOTH["orange"],
+    Standing.KEPT_OUT: BOTH["red"],
+    Standing.UNRELATED: BOTH["single"] + FAINT,
 }
 """The colour of each standing of a pair, on white and on dark paper."""
-
-SAME_RUN = "#8a929c99"
 
 MOST_NAMES = 40
 """Up to this many runs the matrix has their names; of more those of their sites."""
@@ -42,14 +43,17 @@ def matrix_figure(result: MergeResult) -> Any:
     runs = runs_in_order(result)
     n = len(runs)
     plot: Any = blank_figure((0, n), (n, 0), "")
-    plot.update(outline_line_color=INK)
-    colours = [SAME_RUN, *(STANDING_COLOURS[s] for s in CLASS)]
+    plot.update(outline_line_color=BOTH.ink)
+    colours = [BOTH["single"], *(STANDING_COLOURS[s] for s in CLASS)]
     mapper = LinearColorMapper(palette=colours, low=-0.5, high=len(colours) - 0.5)
     plot.image(image=[verdict_matrix(result, runs)], x=0, y=0, dw=n, dh=n, color_mapper=mapper)
     spans = spans_of(result)
     begins, ends = ([span[k] for span in spans if span[2] - span[1] > 1] for k in (1, 2))
     sides = {"left": begins, "right": ends, "top": begins, "bottom": ends}
-    framed, look = ColumnDataSource(sides), {"fill_color": None, "line_color": INK, "line_width": 2}
+    framed, look = (
+        ColumnDataSource(sides),
+        {"fill_color": None, "line_color": BOTH.ink, "line_width": 2},
+    )
     plot.quad("left", "right", "top", "bottom", source=framed, **look)
     spot = ColumnDataSource({"x": [], "y": []}, name="spot")
     look = {"fill_color": None, "line_color": CHOSEN, "line_width": 3}
@@ -60,56 +64,45 @@ def matrix_figure(result: MergeResult) -> Any:
     for part in plot.grid:
         part.update(visible=False)
     for axis in (plot.xaxis[0], plot.yaxis[0]):
-        named_axis(axis, names)
+        axis.update(
+            ticker=FixedTicker(ticks=sorted(names)),
+            major_label_overrides={at: short(legible(name)) for at, name in names.items()},
+            major_label_text_color=BOTH.ink,
+            major_label_text_font_size="10px",
+            major_label_standoff=2,
+            major_tick_line_color=None,
+            axis_line_color=None,
+        )
     plot.xaxis[0].update(major_label_orientation="vertical")
     return plot
-
-
-def named_axis(axis: Any, names: Mapping[float, str]) -> None:
-    """Write names beside an axis, by their place along it."""
-    axis.update(
-        ticker=FixedTicker(ticks=sorted(names)),
-        major_label_overrides={at: short(legible(name)) for at, name in names.items()},
-        major_label_text_color=INK,
-        major_label_text_font_size="10px",
-        major_label_standoff=2,
-        major_tick_line_color=None,
-        axis_line_color=None,
-    )
 
 
 def pair_figure() -> Any:
     """A figure for one map laid over another, which the page fills. The sources of its renderers
     are named after what they hold."""
-    plot = map_figure([np.array([(0.0, 0.0), (1.0, 1.0)])])
-    one, two = LIGHT.run(0), LIGHT.run(1)
-    for name, ink, width, alpha in (
-        ("links", GOOD, 9.0, 0.45),
-        ("a", one, 3.0, 0.9),
-        ("b", two, 3.0, 0.9),
-        ("ties", INK, 1.5, 1.0),
-        ("crossing", BAD, 5.0, 0.8),
+    plot = map_figure(np.zeros(2), np.ones(2))
+    one, two = BOTH.run(0), BOTH.run(1)
+    for name, ink, pens in (
+        ("links", BOTH["agrees"] + FAINT, RING),
+        ("a", one, 1),
+        ("b", two, 1),
+        ("ties", BOTH.ink, THIN),
+        ("crossing", BOTH["against"], SMALL),
     ):
         source = ColumnDataSource({"xs": [], "ys": []}, name=name)
-        plot.multi_line(
-            "xs", "ys", source=source, line_color=ink, line_width=width, line_alpha=alpha
-        )
-    for name, ink, size in (("a dots", one, 6), ("b dots", two, 6), ("against", BAD, 16)):
-        source = ColumnDataSource({"x": [], "y": []}, name=name)
-        fill = None if name == "against" else ink
-        plot.scatter(
-            "x", "y", source=source, size=size, fill_color=fill, line_color=ink,
-            line_width=2.5 if fill is None else 0,
-        )  # fmt: skip
-    for name, ink, align, x, y in (
-        ("a numbers", one, "right", -5, -7),
-        ("b numbers", two, "left", 5, 8),
+        plot.multi_line("xs", "ys", source=source, line_color=ink, line_width=pens * PEN_PX)
+    for name, ink, pens in (
+        ("a dots", one, SMALL),
+        ("b dots", two, SMALL),
+        ("against", BOTH["against"], RING),
     ):
-        source = ColumnDataSource({"x": [], "y": [], "text": []}, name=name)
-        plot.text(
-            "x", "y", "text", source=source, text_color=ink, text_font_size="11px",
-            text_align=align, text_baseline="middle", x_offset=x, y_offset=y, name=NUMBERS,
-        )  # fmt: skip
+        source = ColumnDataSource({"x": [], "y": []}, name=name)
+        ring = name == "against"
+        look = {"fill_color": None if ring else ink, "line_width": PEN_PX if ring else 0}
+        plot.scatter("x", "y", source=source, size=pens * PEN_PX, line_color=ink, **look)
+    for name, ink, side in (("a numbers", one, "right"), ("b numbers", two, "left")):
+        write_beside(plot, np.zeros((0, 2)), (), ink, side)
+        plot.renderers[-1].data_source.update(name=name)
     return plot
 
 
@@ -143,7 +136,8 @@ def page_data(
         ],
         "standings": [str(s) for s in CLASS],
         "colours": [STANDING_COLOURS[s] for s in CLASS],
-        "inks": [LIGHT.run(0), LIGHT.run(1)],
+        "ink": BOTH.ink,
+        "inks": [BOTH.run(0), BOTH.run(1)],
         "reasons": list(reasons),
         "pairs": pairs,
         "counted": result is not None and result.unlisted is not None,

@@ -172,24 +172,23 @@ def test_a_site_has_layers_and_says_what_is_clicked(merge_of) -> None:
     result, maps = merge_of([["a", "b"], ["c"]])
     page = Page(page_of(named(result), maps, drives=[drive()], changes=[change()]))
     layers = page.sources("site-0")
-    assert set(layers) == {
-        None,
-        "runs",
-        "branches never driven",
-        "changes",
-        "drives to record",
-        "junction numbers",
-        "axes",
-    } - {None if not layers.get(None) else ""}
-    corridors, *dots = layers[None]
-    assert corridors["told"][0] == ("Corridor 0 to 1: 10.00 ± 0.10 m, driven 2 times by a, b")
-    assert next(told for d in dots for told in d["told"]).startswith(
+    assert {
+        "branch never driven",
+        "gone, with its number in the list",
+        "drive to record, from its number on",
+        "junction seen by several runs",
+        "numbers",
+    } <= set(layers)
+    (strands,) = (d for d in layers[None] if "xs" in d)
+    assert strands["told"][0] == "Corridor 0 to 1: 10.00 ± 0.10 m, driven 2 times by a, b"
+    assert len(strands["xs"]) == 10  # a strand for each run
+    (dots,) = layers["junction seen by several runs"]
+    assert dots["told"][0].startswith(
         "Junction 0: 3 branches, 1 pass by a (its 0), b (its 0); at (0.00, 0.00) m"
     )
-    assert len(layers["runs"][0]["xs"]) == 10  # a strand for each run
-    assert layers["changes"][0]["told"][0].startswith("Gone: corridor")
-    assert any("drive 1" in d.get("text", ()) for d in layers["drives to record"])
-    assert {t for d in layers["junction numbers"] for t in d["text"]} == {*"01234", "12"}
+    (gone,) = layers["gone, with its number in the list"]
+    assert gone["told"][0].startswith("Gone: corridor")
+    assert {t for d in layers["numbers"] for t in d["text"]} == {*"01234", "12", "drive 1"}
     assert "data-site-1" not in page.scripts  # it stands alone: its run's own map is there
 
 
@@ -231,22 +230,6 @@ def test_a_pair_is_opened_in_the_order_of_its_verdict_whichever_site_comes_first
     assert names == ["b", "c", "a"]
     pairs = {(names[p["i"]], names[p["j"]]) for p in data["pairs"]}
     assert pairs == {(pair.a, pair.b) for pair in result.verdicts}
-
-
-def test_a_time_line_of_two_decades_shows_the_runs_of_either(merge_of) -> None:
-    result, maps = merge_of([["a", "b"], ["c"]])
-    old = [replace(m, observation_time_ns=m.observation_time_ns + 10**18) for m in maps[:1]]
-    (bars,) = Page(page_of(result, [*old, *maps[1:]])).sources("time")[None]
-    wide = np.subtract(bars["right"], bars["left"])
-    assert wide.min() > 0.1 * (max(bars["right"]) - min(bars["left"]))
-
-
-def test_the_time_line_says_which_maps_it_lacks(merge_of) -> None:
-    result, (first, *others) = merge_of([["a", "b"], ["c"]])
-    none = np.zeros(0, np.int64)
-    grid = replace(first, observation_time_ns=none, observation_vertex=none)
-    assert "Without a time: 1 saved map." in Page(page_of(result, [grid, *others])).text
-    assert "Without a time" not in Page(page_of(result, [first, *others])).text
 
 
 def test_where_no_drive_is_worth_it_the_page_says_what_nobody_drove(merge_of) -> None:
