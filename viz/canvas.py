@@ -11,7 +11,7 @@ import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from math import ceil, floor, inf
+from math import floor, inf
 from textwrap import wrap
 from types import MappingProxyType
 from typing import Any, Literal
@@ -102,7 +102,6 @@ class Canvas:
     _axes: Any = field(init=False)
     _titles: dict[str, str] = field(init=False, default_factory=dict)
     _marks: dict[str, Line2D] = field(init=False, default_factory=dict)
-    _runs: list[tuple[str, Line2D | None]] = field(init=False, default_factory=list)
     _written: list[FloatArray] = field(init=False, default_factory=list)
 
     def __post_init__(self) -> None:
@@ -141,46 +140,35 @@ class Canvas:
     def lines(
         self,
         paths: Sequence[FloatArray],
-        colours: str | Sequence[str],
+        colour: str,
         pens: float = 1.0,
         *,
         tips: Sequence[str] = (),
         key: str = "",
     ) -> None:
-        """Draw polylines, (k, 2) each [m], in one colour or one each. tips: the tooltip in an SVG
-        of each, or one of all."""
-        inks = [colours] * len(paths) if isinstance(colours, str) else colours
-        for rows, own in self._told_apart(tips, inks):
-            if rows:
-                self._line([paths[k] for k in rows], inks[rows[0]], pens, own, key)
+        """Draw polylines, (k, 2) each [m]. tips: the tooltip in an SVG of each, or one of all."""
+        for rows, own in self._told_apart(len(paths), tips):
+            self._note(key, _line(colour, PEN_PT * min(pens, MEDIUM)))
+            drawn = [paths[k] for k in rows]
+            codes = [np.r_[Outline.MOVETO, np.full(len(p) - 1, Outline.LINETO)] for p in drawn]
+            patch = PathPatch(
+                Outline(np.concatenate(drawn), np.concatenate(codes)),
+                facecolor="none",
+                edgecolor=colour,
+                linewidth=pens * self._pen_pt,
+                capstyle="round",
+                joinstyle="round",
+            )
+            self._add(patch, own)
 
     def _told_apart(
-        self, tips: Sequence[str], inks: Sequence[str]
-    ) -> Iterator[tuple[list[int], Sequence[str]]]:
-        """Rows that are drawn in one piece, with their tooltip: each by itself where each has one,
-        else those of one colour together."""
+        self, count: int, tips: Sequence[str]
+    ) -> Iterator[tuple[Sequence[int], Sequence[str]]]:
+        """Rows drawn in one piece, with their tooltip: each by itself where each has one."""
         if 1 < len(tips) <= MOST_TOLD - len(self._titles):
-            yield from (([k], tips[k : k + 1]) for k in range(len(tips)))
-            return
-        rows: dict[str, list[int]] = {}
-        for k, ink in enumerate(inks):
-            rows.setdefault(ink, []).append(k)
-        yield from ((own, tips if len(tips) == 1 else ()) for own in rows.values())
-
-    def _line(
-        self, paths: Sequence[FloatArray], ink: str, pens: float, tips: Sequence[str], key: str
-    ) -> None:
-        self._note(key, _line(ink, PEN_PT * min(pens, MEDIUM)))
-        codes = [np.r_[Outline.MOVETO, np.full(len(p) - 1, Outline.LINETO)] for p in paths]
-        patch = PathPatch(
-            Outline(np.concatenate(paths), np.concatenate(codes)),
-            facecolor="none",
-            edgecolor=ink,
-            linewidth=pens * self._pen_pt,
-            capstyle="round",
-            joinstyle="round",
-        )
-        self._add(patch, tips)
+            yield from (([k], tips[k : k + 1]) for k in range(count))
+        elif count:
+            yield range(count), tips if len(tips) == 1 else ()
 
     def dots(
         self,
@@ -194,16 +182,12 @@ class Canvas:
         key: str = "",
     ) -> None:
         """Draw filled marks, or rings, at xy (n, 2) [m]. tips: as of `lines`."""
-        for rows, own in self._told_apart(tips, [colour] * len(xy)):
+        for rows, own in self._told_apart(len(xy), tips):
             self._note(
                 key, self._markers(xy[:0], colour, min(pens, LARGE), PEN_PT, marker, ring=ring)
             )
             marks = self._markers(xy[rows], colour, pens, self._pen_pt, marker, ring=ring)
             self._add(marks, own)
-
-    def run(self, name: str, colour: str | None) -> None:
-        """Add a run to the key, or without a colour the name of the site whose runs follow."""
-        self._runs.append((name, None if colour is None else _line(colour, PEN_PT)))
 
     def _note(self, key: str, sample: Line2D) -> None:
         """Add an entry to the key, unless there is one of this name."""
@@ -300,15 +284,12 @@ class Canvas:
 
     def finish(self, heading: Sequence[str]) -> None:
         """Write what stands around the drawing: heading lines above (empty ones are skipped; the
-        first one is larger), a scale bar and the key below, first of marks, then of runs."""
+        first one is larger), a scale bar and the key below."""
         with _styled():
             self._write_heading(*map(legible, heading))
             self._draw_scale_bar()
-            below = 2 * LINE_PT
-            groups: list[list[tuple[str, Line2D | None]]] = [[*self._marks.items()], self._runs]
-            for group in filter(None, groups):
-                rows = self._draw_key(group, below)
-                below += LINE_PT * (rows + 0.5)
+            if self._marks:
+                self._draw_key()
 
     def _write_heading(self, title: str, *others: str) -> None:
         """Write the title and lines below it, upwards from the drawing's upper edge."""
@@ -337,18 +318,17 @@ class Canvas:
         )
         self._add(bar)
 
-    def _draw_key(self, group: Sequence[tuple[str, Line2D | None]], below_pt: float) -> int:
-        """Draw the entries of a key, label and sample, in as many columns as fit; returns the
-        number of rows. Labels without a sample are headings."""
-        longest = max(len(label) for label, _ in group)
+    def _draw_key(self) -> None:
+        """Draw samples of marks and lines with their labels, in as many columns as fit."""
+        longest = max(map(len, self._marks))
         columns = max(1, floor(self._room_pt / (LETTER * TEXT_PT * longest + 3 * LINE_PT)))
         most = letters(self._room_pt / columns - 3 * LINE_PT, TEXT_PT)
         legend = self._axes.legend(
-            [sample or _line("none", 0.0) for _, sample in group],
-            [short(legible(label), most) for label, _ in group],
+            [*self._marks.values()],
+            [short(legible(label), most) for label in self._marks],
             loc="upper left",
             bbox_to_anchor=(0.0, 0.0),
-            bbox_transform=self._below(below_pt),
+            bbox_transform=self._below(2 * LINE_PT),
             ncols=columns,
             frameon=False,
             fontsize=TEXT_PT,
@@ -357,10 +337,7 @@ class Canvas:
             borderpad=0.0,
             borderaxespad=0.0,
         )
-        for (_, sample), text in zip(group, legend.get_texts(), strict=True):
-            text.set_fontweight("normal" if sample else "bold")
         self._add(legend)
-        return ceil(len(group) / columns)
 
     def _below(self, down_pt: float) -> Any:
         """The transform of the drawing's fractions, moved down the page."""

@@ -8,9 +8,10 @@ from types import MappingProxyType
 import numpy as np
 
 from ..merge.change import Change, numbered
+from ..merge.decision_text import short
 from ..merge.drive import Drive
-from ..merge.result import FusedMap, MergeResult, Standing, of_sites, site_views
-from ..topology.arrays import BoolArray, FloatArray
+from ..merge.result import MergeResult, Standing, of_sites, site_views
+from ..topology.arrays import FloatArray
 from ..topology.driven_branches import driven_branches
 from ..topology.se2 import apply
 from ..topology.topomap import TopoMap
@@ -22,7 +23,7 @@ from .pages import describe_corridor, describe_map
 from .palette import LARGE, MEDIUM, THIN, Theme
 from .parts import Part, lay_out, ranks
 from .scene import draw_component, draw_ends, draw_unexplored, draw_walls
-from .sheet import Cell, corners_of, fitting, outline, upright_rad
+from .sheet import Cell, corners_of, outline, upright_rad
 from .walls import wall_points, walls_of
 
 NO_MAPS: Mapping[str, TopoMap] = MappingProxyType({})
@@ -131,55 +132,28 @@ def draw_merged(
     cells, rank, free = [part.cell for part in parts], ranks(result), ~driven_branches(fused)
     width_pt = float(np.clip(CELL_PT * np.sqrt(len(parts)), WIDTH_PT, 2 * WIDTH_PT))
     canvas = sheet_canvas(cells, theme, width_pt, "merged", usual_m(shown.fused.length))
-    _key_of_runs(canvas, parts, rank)
-    draw_frames(canvas, cells, [*map(_titles, parts)])
-    numbers = set() if sites is None else _to_number(shown, fused, free, drives, changes or ())
+    draw_frames(canvas, cells, [part.title for part in parts])
+    too_many = sites is not None and shown.fused.junctions > MOST_NUMBERED
+    numbers = set() if sites is None else _named(drives, changes) if too_many else None
+    several = sum(len(part.component.poses) > 1 for part in parts)
     for part in parts:
         draw_walls(canvas, views[part.component.id], part.cell.T_sheet_map, theme["wall"])
         draw_component(
             *(canvas, fused, part, rank, free),
+            several=several,
             numbers=numbers,
             drives=drives,
             changes=changes or (),
         )
-    too_many = sites is not None and shown.fused.junctions > MOST_NUMBERED
     canvas.finish(_heading(shown, parts, drives, changes, too_many=too_many))
     return canvas
 
 
-def _key_of_runs(canvas: Canvas, parts: Sequence[Part], rank: Mapping[str, int]) -> None:
-    """Add the runs of components of several to the key, below the names of their sites if these are
-    more than one."""
-    several = [part.component for part in parts if len(part.component.poses) > 1]
-    for component in several:
-        if len(several) > 1:
-            canvas.run(component.name, None)
-        for run in sorted(component.poses):
-            canvas.run(run, canvas.theme.run(rank[run]))
-
-
-def _titles(part: Part) -> tuple[str, ...]:
-    """Forms of a component's title, longest first: the longer ones also with its turn."""
-    turn = _turned_by(part.cell.T_sheet_map)
-    return (*(title + turn for title in part.titles[:2]), *part.titles)
-
-
-def _to_number(
-    shown: MergeResult,
-    fused: FusedMap,
-    free: BoolArray,
-    drives: Sequence[Drive] | None,
-    changes: Sequence[Change],
-) -> set[int]:
-    """The junctions whose numbers are written: all, or of many those that a drive or a change
-    names, and with drives those with a branch that nobody drove (`free` (total branches,))."""
-    junctions = {*np.flatnonzero(~fused.is_turned).tolist()}
-    if shown.fused.junctions <= MOST_NUMBERED:
-        return junctions
+def _named(drives: Sequence[Drive] | None, changes: Sequence[Change] | None) -> set[int]:
+    """The junctions that drives and changes name."""
     named = {stop.junction for drive in drives or () for stop in drive.stops}
-    named |= {junction for change in changes for junction in change.junctions}
-    named |= set() if drives is None else {*fused.branches.owner[free].tolist()}
-    return junctions & named
+    named |= {junction for change in changes or () for junction in change.junctions}
+    return {junction for junction in named if junction is not None}
 
 
 def _heading(
@@ -225,12 +199,12 @@ def sheet_canvas(
     return Canvas(*bounds([corners_of(cells)]), theme, width_pt, name, usual)
 
 
-def draw_frames(canvas: Canvas, cells: Sequence[Cell], titles: Sequence[Sequence[str]]) -> None:
-    """With more than one cell, draw each one's frame and title, in the longest form that fits."""
+def draw_frames(canvas: Canvas, cells: Sequence[Cell], titles: Sequence[str]) -> None:
+    """With more than one cell, draw each one's frame and title, shortened to fit."""
     if len(cells) < 2:
         return
-    for cell, forms in zip(cells, titles, strict=True):
+    for cell, title in zip(cells, titles, strict=True):
         (x0, _), (x1, top) = cell.low, cell.high
         canvas.lines([outline(cell.low, cell.high)], canvas.theme["card"], THIN)
-        title = fitting(forms, letters((x1 - x0) * canvas.points_per_m, TEXT_PT))
-        canvas.title(np.array([(x0 + x1) / 2, top]), title)
+        room = letters((x1 - x0) * canvas.points_per_m, TEXT_PT)
+        canvas.title(np.array([(x0 + x1) / 2, top]), short(title, room))

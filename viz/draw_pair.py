@@ -20,56 +20,40 @@ from ..merge.decision_text import (
 )
 from ..merge.result import shown_bits
 from ..topology.arrays import FloatArray
-from ..topology.matching.views import AGREES, CONTRADICTS, SILENT
-from ..topology.se2 import apply, compose, turned
+from ..topology.se2 import apply, compose
 from ..topology.topomap import TopoMap
 from ..topology.turning_vertices import with_turning_points
-from ..topology.views import CELL_M, REACH_M
 from .canvas import Canvas
 from .draw import WIDTH_PT, draw_frames, sheet_canvas
-from .geometry import MARGIN, MOST_NUMBERED, contradiction_spots, extent, usual_m
+from .geometry import MOST_NUMBERED, contradiction_spots, extent, usual_m
 from .palette import LARGE, RING, SMALL, THIN, Theme
 from .scene import draw_walls
-from .sheet import Cell, arrange, upright_rad
+from .sheet import arrange, upright_rad
 from .walls import wall_points, walls_of
 
 FULL_BITS = 6.0
 """A link of this many bits is drawn widest."""
 
-TINY_M = 1e-3
-"""Length of the line that is drawn for a cell of a wall."""
-
 CONTRADICTIONS = "what speaks against it"
-
-_CORNERS = REACH_M * np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
-"""(4, 2) corners of a view, about its place [m]."""
 
 
 def draw_decision(a: TopoMap, b: TopoMap, decision: Decision, theme: Theme) -> Canvas:
     """Draw why two runs were merged or not: the placements of b over a, with lines between matched
-    junctions, the links that speak for a placement and what speaks against it; and the views that
-    speak most for the first placement and against it. Where nothing fits, the maps side by side."""
+    junctions, the links that speak for a placement and what speaks against it. Where nothing fits,
+    the maps side by side."""
     a, b = with_turning_points(a), with_turning_points(b)
-    pictures = _pictures(decision)
-    views = [t for p in decision.placements[:1] for t in p.of("views") if t.seen is not None]
-    views.sort(key=lambda t: -t.bits)
+    pictures, upright = _pictures(decision), [upright_rad(m.paths) for m in (a, b)]
     of_a, of_b = (
         np.concatenate([extent(m), wall_points(walls_of([m.views], m.frame))]) for m in (a, b)
     )
     points = [np.concatenate([of_a, apply(p.T_a_b, of_b)]) for p in pictures] or [of_a, of_b]
-    turns = [upright_rad(a.paths)] * (len(pictures) + len(views)) or [
-        upright_rad(a.paths),
-        upright_rad(b.paths),
-    ]
-    wide = min((float(np.ptp(p, axis=0).max()) for p in points if len(p)), default=0.0)
-    square = turned(_CORNERS * max(wide / 2 / REACH_M / 2, 1.0), -turns[0])
-    cells = arrange([*points, *(square for _ in views)], turns)
+    turns = upright[:1] * len(pictures) or upright
+    cells = arrange(points, turns)
     usual = usual_m(np.concatenate([a.length, b.length]))
     canvas = sheet_canvas(cells, theme, WIDTH_PT, "pair", usual)
     titles = [p.title for p in pictures] or [a.run, b.run]
-    titles += [f"views {'for' if t.bits > 0 else 'against'} it: {t.bits:+.1f} bits" for t in views]
-    draw_frames(canvas, cells, [(title,) for title in titles])
-    for picture, cell in zip(pictures, cells, strict=False):
+    draw_frames(canvas, cells, titles)
+    for picture, cell in zip(pictures, cells, strict=bool(pictures)):
         poses = (cell.T_sheet_map, compose(cell.T_sheet_map, picture.T_a_b))
         _own_maps(canvas, (a, b), poses)
         if picture.placement is not None:
@@ -78,8 +62,6 @@ def draw_decision(a: TopoMap, b: TopoMap, decision: Decision, theme: Theme) -> C
             _numbers(canvas, picture.placement, (a, b), at)
     if not pictures:
         _own_maps(canvas, (a, b), [cell.T_sheet_map for cell in cells])
-    for term, cell in zip(views, cells[len(pictures) :], strict=False):
-        _seen(canvas, term, cell, turns[0])
     heading = [headline(decision), because(decision), advice(decision)]
     canvas.finish([*heading, *(f"Note: {note}" for note in decision.notes)])
     return canvas
@@ -167,20 +149,3 @@ def _numbers(
 
 def _describe_term(term: Term, digits: int) -> str:
     return f"{term.bits:+.{digits}f} bits: {term.text}"
-
-
-def _seen(canvas: Canvas, term: Term, cell: Cell, turn_rad: float) -> None:
-    """Draw two views over each other in a cell; what contradicts last. Walls of b are drawn
-    narrower: where both lie, both show."""
-    assert term.seen is not None
-    theme = canvas.theme
-    scale = (1 - 4 * MARGIN) * float((cell.high - cell.low).min()) / (2 * REACH_M)
-    xy = (cell.low + cell.high) / 2 + scale * turned(term.seen.xy, turn_rad)
-    for kind in (SILENT, AGREES, CONTRADICTS):
-        for run in (0, 1):
-            own = xy[(term.seen.kind == kind) & (term.seen.of_second == (run == 1))]
-            colour = theme.run(run)
-            ink = {SILENT: theme.pale(colour), AGREES: colour}.get(kind, theme["against"])
-            pens = CELL_M * scale / canvas.pen_m / (1 + run)
-            key = CONTRADICTIONS if kind == CONTRADICTS else ""
-            canvas.lines([*np.stack([own - TINY_M, own], axis=1)], ink, pens, key=key)

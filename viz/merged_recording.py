@@ -60,8 +60,7 @@ def write_merged_recording(path: Path, result: MergeResult, maps: Sequence[TopoM
         sheet = [part.cell for part in parts]
         for root in (FUSED, RUNS):
             recording.static((root,), UP)
-            titles = [part.titles for part in parts] if len(parts) > 1 else []
-            write_cards(recording, root, sheet, titles)
+            write_cards(recording, root, sheet, [part.title for part in parts])
             for part in parts:
                 recording.static((root, part.name), placed(part.cell.T_sheet_map))
         free, home = ~driven_branches(result.fused), result.fused.component

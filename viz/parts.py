@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from ..merge.result import Component, MergeResult, PairVerdict, Standing
 from ..topology.arrays import FloatArray, IntArray
 from ..topology.se2 import apply, inverse
-from ..topology.wording import counted
 from . import palette
 from .geometry import bounds
 from .sheet import Cell, arrange, upright_rad
@@ -21,14 +20,13 @@ from .sheet import Cell, arrange, upright_rad
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Part:
-    """A component and its place on the sheet. vertices, edges: its rows in the fused map;
-    junctions: count of its vertices without turning points."""
+    """A component and its place on the sheet. vertices, edges: its rows in the fused
+    map."""
 
     component: Component
     cell: Cell
     vertices: IntArray
     edges: IntArray
-    junctions: int
 
     @property
     def name(self) -> str:
@@ -36,14 +34,10 @@ class Part:
         return f"component_{self.component.id}"
 
     @property
-    def titles(self) -> tuple[str, ...]:
-        """Forms of its title, longest first."""
+    def title(self) -> str:
+        """Its site and how many runs it has, or its only run."""
         runs = list(self.component.poses)
-        if len(runs) == 1:
-            return (runs[0],)
-        site = self.component.name
-        short = f"{site}: {len(runs)} runs"
-        return (f"{short} merged, {counted(self.junctions, 'junction')}", short, site)
+        return runs[0] if len(runs) == 1 else f"{self.component.name}: {len(runs)} runs"
 
 
 def in_order(result: MergeResult) -> list[Component]:
@@ -77,9 +71,7 @@ def lay_out(
             left = apply(inverse(upright), [low[0] - aside * (high[0] - low[0]), low[1]])
             points[k] = np.concatenate([points[k], left[None]])
     cells = arrange(points, turns)
-    junction = ~fused.is_turned
-    places = [int(junction[rows].sum()) for rows in vertices]
-    return [Part(*row) for row in zip(order, cells, vertices, edges, places, strict=True)]
+    return [Part(*row) for row in zip(order, cells, vertices, edges, strict=True)]
 
 
 def rows_of(owner: IntArray, wanted: list[int]) -> list[IntArray]:

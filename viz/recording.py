@@ -16,13 +16,14 @@ import rerun.blueprint as rrb
 import rerun_bindings
 from PIL import Image
 
+from ..merge.decision_text import short
 from ..topology.arrays import BoolArray, FloatArray, IntArray
 from ..topology.files import write_atomically
 from ..topology.run import Grid
 from ..topology.topomap import Graph
 from .geometry import branch_arrows
 from .palette import DARK, THIN, Colour, Order, rgb
-from .sheet import ASPECT, Cell, corners_of, fitting, outline
+from .sheet import ASPECT, Cell, corners_of, outline
 
 APPLICATION_ID = "topobatch"
 
@@ -224,24 +225,18 @@ TITLE_LETTERS = 150
 """Letters across a view of typical width."""
 
 
-def write_cards(
-    recording: Recording, root: str, cells: list[Cell], titles: Sequence[Sequence[str]]
-) -> None:
-    """Write a frame for each of several cells, and its title: the first that fits of the given
-    forms, longest first. `titles` may be empty."""
-    if len(cells) > 1:
-        frames = [outline(cell.low, cell.high) for cell in cells]
-        recording.lines((root, "frames"), frames, Order.CARD, DARK["card"], radii=HAIR)
-    width, height = np.ptp(corners_of(cells), axis=0) if cells else np.zeros(2)
-    seen_m = max(float(width), ASPECT * float(height))
-    shown = []
-    for cell, forms in zip(cells, titles, strict=False):
-        (x0, _), (x1, top) = cell.low, cell.high
-        title = fitting(forms, int((x1 - x0) / seen_m * TITLE_LETTERS))
-        shown += [(((x0 + x1) / 2, top), title)] if title else []
-    if shown:
-        tops, titled = zip(*shown, strict=True)
-        recording.words((root, "titles"), tops, titled, DARK.ink)
+def write_cards(recording: Recording, root: str, cells: list[Cell], titles: Sequence[str]) -> None:
+    """Write a frame for each of several cells, and its title, shortened to fit."""
+    if len(cells) < 2:
+        return
+    frames = [outline(cell.low, cell.high) for cell in cells]
+    recording.lines((root, "frames"), frames, Order.CARD, DARK["card"], radii=HAIR)
+    width, height = np.ptp(corners_of(cells), axis=0)
+    letters_per_m = TITLE_LETTERS / max(width, ASPECT * height)
+    tops = [((cell.low[0] + cell.high[0]) / 2, cell.high[1]) for cell in cells]
+    rooms = [max(int((cell.high - cell.low)[0] * letters_per_m), 1) for cell in cells]
+    shown = [short(title, room) for title, room in zip(titles, rooms, strict=True)]
+    recording.words((root, "titles"), tops, shown, DARK.ink)
 
 
 def corridor_attributes(graph: Graph, edges: IntArray) -> dict[str, Any]:

@@ -123,7 +123,7 @@ async function site(place) {
   for (const [name, renderers] of layers) {
     const box = made("input", "", {type: "checkbox", checked: true}), label = made("label", "");
     const {glyph} = renderers[0], mark = made("i", "");
-    const ink = (glyph.fill_color ?? glyph.line_color)?.value ?? renderers[0].data_source.data.ink?.[0];
+    const ink = (glyph.fill_color ?? glyph.line_color)?.value;
     mark.style.background = ink;
     box.onchange = () => renderers.forEach(r => { r.visible = box.checked; });
     label.append(box, " ", ...ink ? [mark] : [], name);

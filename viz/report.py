@@ -28,8 +28,7 @@ from ..topology.made_from import describe_junctions
 from ..topology.topomap import TopoMap
 from ..topology.wording import counted, legible, listed, to_turning_points, utc
 from .pages import minutes
-from .palette import BOTH
-from .parts import in_order, ranks, runs_in_order
+from .parts import in_order, runs_in_order
 from .report_maps import site_map
 from .report_pairs import STANDING_COLOURS, matrix_figure, page_data, pair_figure
 from .scene import describe_change
@@ -73,7 +72,7 @@ def report_page(report: Report) -> str:
     if result is not None and len(runs) > 1:
         figures["matrix"] = matrix_figure(result)
     items = {"runs": page_data(result, runs, report.maps, report.decisions, report.where)}
-    items |= {name: _item(name, figure) for name, figure in figures.items()}
+    items |= {name: json_item(figure) for name, figure in figures.items()}
     counts = {} if result is None else result.standings()
     library = Resources(mode="inline", components=["bokeh"]).js_raw[0]
     script = _file("report.js")
@@ -118,24 +117,6 @@ _TEMPLATES = Environment(
 )
 _TEMPLATES.filters["line"] = lambda value: legible(" ".join(str(value).split()))
 _TEMPLATES.policies["json.dumps_kwargs"] = {"separators": (",", ":")}
-
-
-def _item(name: str, plot: Any) -> Any:
-    """A figure as JSON values; its parts are named anew, so that the same figure is the same JSON,
-    whatever a process drew before."""
-    numbers: dict[str, str] = {}
-
-    def renumbered(value: Any) -> Any:
-        if isinstance(value, dict):
-            return {
-                key: numbers.setdefault(part, f"{name}-{len(numbers)}")
-                if key in ("id", "root_id") and isinstance(part, str)
-                else renumbered(part)
-                for key, part in value.items()
-            }
-        return [*map(renumbered, value)] if isinstance(value, list) else value
-
-    return renumbered(json_item(plot))
 
 
 def _digest(script: str) -> str:
@@ -195,7 +176,6 @@ def _sites(report: Report) -> list[dict[str, Any]]:
     result = report.result
     if result is None:
         return []
-    rank = ranks(result)
     begins = {d.component for d in report.drives}
     weakest = weakest_links(result.verdicts, home_of(result.components))
     several, alone = _groups(result)
@@ -207,7 +187,6 @@ def _sites(report: Report) -> list[dict[str, Any]]:
         maps = {run: report.maps[run] for run in runs if report.as_merged and run in report.maps}
         plot = site_map(result, c, maps, report.changes, report.drives)
         wide, high = (r.end - r.start for r in (plot.x_range, plot.y_range))
-        ink = [BOTH.run(rank[run]) if len(runs) > 1 else BOTH["single"] for run in runs]
         out.append(
             {
                 "id": c.id,
@@ -216,7 +195,6 @@ def _sites(report: Report) -> list[dict[str, Any]]:
                 "told": f"{counted(len(runs), 'run')}, {counted(fused.junctions, 'junction')}, "
                 f"{fused.lengths_m[0]:,.0f} m of corridors{to_turning_points(fused.turned)}"
                 f"{legible(weakest.get(c.id, ''))}",
-                "runs": list(zip(runs, ink, strict=True)),
                 "shape": round(wide / high, 3),
                 "turn": f"{np.degrees(upright_rad(fused.paths)):.0f}",
                 "most": int(np.flatnonzero(result.fused.component == c.id).max(initial=0)),

@@ -69,7 +69,8 @@ def site_map(
     draw_walls(surface, views, part.cell.T_sheet_map, surface.theme.ink, alpha=0.5)
     draw_component(
         *(surface, fused, part, ranks(result), ~driven_branches(fused)),
-        numbers={*np.flatnonzero(~fused.is_turned).tolist()},
+        several=1,
+        numbers=None,
         drives=drives,
         changes=[c for c in changes if c.sure],
     )
@@ -140,7 +141,7 @@ class SiteFigure:
     def lines(
         self,
         paths: Sequence[FloatArray],
-        colours: str | Sequence[str],
+        colour: str,
         pens: float = 1.0,
         *,
         tips: Sequence[str] = (),
@@ -150,12 +151,11 @@ class SiteFigure:
         if not paths:
             return
         x, y = path_columns(paths)
-        inks = [colours] * len(paths) if isinstance(colours, str) else [*colours]
         self.plot.multi_line(
             "xs",
             "ys",
-            source=_told({"xs": x, "ys": y, "ink": inks}, tips),
-            line_color="ink",
+            source=_told({"xs": x, "ys": y}, tips),
+            line_color=colour,
             line_width=pens * PEN_PX,
             line_cap="round",
             line_join="round",

@@ -19,7 +19,15 @@ from ..topology.se2 import apply
 from ..topology.topomap import Graph
 from ..topology.views import Views
 from ..topology.wording import counted, listed
-from .geometry import TURNED, TURNED_MARKERS, Marker, branch_arrows, changed_path, strands
+from .geometry import (
+    TURNED,
+    TURNED_MARKERS,
+    Marker,
+    Strand,
+    branch_arrows,
+    changed_path,
+    strands,
+)
 from .pages import describe_corridor
 from .palette import LARGE, MEDIUM, RING, Theme
 from .parts import Part
@@ -38,7 +46,7 @@ CHANGED = {
 
 class Surface(Protocol):
     """A picture in metres. Widths and sizes are in pens, the widths of a corridor's line; colours
-    are #rrggbb, of `lines` also one each. key: what the marks are, an entry of the key of the
+    are #rrggbb. key: what the marks are, an entry of the key of the
     picture; tips: what each says when pointed at, or one of all."""
 
     theme: Theme
@@ -50,7 +58,7 @@ class Surface(Protocol):
     def lines(
         self,
         paths: Sequence[FloatArray],
-        colours: str | Sequence[str],
+        colour: str,
         pens: float = 1.0,
         *,
         tips: Sequence[str] = (),
@@ -116,26 +124,31 @@ def draw_component(
     rank: Mapping[str, int],
     free: BoolArray,
     *,
-    numbers: Collection[int],
+    several: int,
+    numbers: Collection[int] | None,
     drives: Sequence[Drive] | None,
     changes: Sequence[Change],
 ) -> None:
     """Draw a component's corridors as strands of its runs, its junctions and turning points.
 
     rank: of runs, for their colours; free: branches that nobody drove (total branches,), drawn
-    where there is a list of drives; numbers: junctions to be numbered.
+    where there is a list of drives; several: how many components of several runs are drawn;
+    numbers: junctions to be numbered, all by default.
     """
     T, theme = part.cell.T_sheet_map, surface.theme
     _bands(surface, fused, part, drives or (), changes)
-    found = strands(fused, part.edges, surface.pen_m)
     alone = len(part.component.poses) == 1
-    inks = [theme["single"] if alone else theme.run(rank[strand.run]) for strand in found]
-    surface.lines(
-        [apply(T, strand.path) for strand in found],
-        inks,
-        tips=[_describe_strand(fused, strand.edge, strand.run) for strand in found],
-        key="run that is merged with none" if alone else "",
-    )
+    of_run: dict[str, list[Strand]] = {}
+    for strand in strands(fused, part.edges, surface.pen_m):
+        of_run.setdefault(strand.run, []).append(strand)
+    for run, own in sorted(of_run.items()):
+        key = run if several == 1 else f"{part.component.name}: {run}"
+        surface.lines(
+            [apply(T, strand.path) for strand in own],
+            theme["single"] if alone else theme.run(rank[run]),
+            tips=[_describe_strand(fused, strand.edge, run) for strand in own],
+            key="run that is merged with none" if alone else key,
+        )
     if drives is not None:
         draw_unexplored(surface, fused, T, free & np.isin(fused.branches.owner, part.vertices))
     kinds = [fused.kind[v] for v in part.vertices.tolist()]
@@ -152,8 +165,8 @@ def draw_component(
         tips = [_describe_junction(fused, v) for v in rows.tolist()]
         surface.dots(apply(T, fused.xy[rows]), theme[ink], pens, tips=tips, key=key)
     _rings(surface, part, drives or (), changes)
-    rows = np.array([v for v in part.vertices.tolist() if v in numbers], np.int64)
-    surface.words(apply(T, fused.xy[rows]), list(map(str, rows.tolist())))
+    named = [v for v in part.vertices[~turned].tolist() if numbers is None or v in numbers]
+    surface.words(apply(T, fused.xy[named]), [*map(str, named)])
 
 
 def _bands(

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..merge.decision_text import short
 from ..topology.arrays import FloatArray
 from ..topology.se2 import apply, rotation
 from .geometry import MARGIN, MIN_SIDE_M
@@ -18,9 +17,6 @@ ASPECT = 1.3
 
 WIDTHS_TRIED = 24
 """Number of sheet widths that are compared."""
-
-SHORTEST_TITLE = 5
-"""Titles that would be cut to fewer letters are left out."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,13 +41,6 @@ def outline(low: ArrayLike, high: ArrayLike) -> FloatArray:
     """(5, 2) the closed outline of the rectangle between two corners."""
     (x0, y0), (x1, y1) = np.asarray(low, np.float64), np.asarray(high, np.float64)
     return np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0)])
-
-
-def fitting(titles: Sequence[str], room: int) -> str:
-    """The first of a title's forms, longest first, that has at most `room` letters; else the last
-    one, cut, or "" if the room is less than SHORTEST_TITLE."""
-    found = next((title for title in titles if len(title) <= room), None)
-    return found or (short(titles[-1], room) if room >= SHORTEST_TITLE else "")
 
 
 def upright_rad(polylines: Sequence[FloatArray]) -> float:

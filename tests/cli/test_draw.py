@@ -47,7 +47,8 @@ def test_what_cannot_be_drawn_is_said(topobatch, workspace, tmp_path) -> None:
     assert not out.exists()
 
 
-def test_a_report_is_written_where_asked(topobatch, merged, tmp_path) -> None:
+def test_a_report_is_written_where_asked(topobatch, merged, tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr("bokeh.util.serialization._simple_id", 999)  # as in a new process
     done = topobatch("report", "-w", merged)
     assert done.code == 0
     page = merged / "report.html"
@@ -56,6 +57,7 @@ def test_a_report_is_written_where_asked(topobatch, merged, tmp_path) -> None:
     html = page.read_text()
     for run in RUNS:
         assert run in html
+    monkeypatch.setattr("bokeh.util.serialization._simple_id", 999)
     topobatch("report", tmp_path / "r.html", "-w", merged)
     assert (tmp_path / "r.html").read_bytes() == page.read_bytes()
     assert "ends in .html" in topobatch("report", tmp_path / "r.txt", "-w", merged).error(2)

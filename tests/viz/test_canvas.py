@@ -11,11 +11,9 @@ HOSTILE = '<script>alert("1")</script> & $x_1$ --> _private \u202e\x1b[2J'
 
 def canvas(theme=LIGHT, name: str = HOSTILE) -> Canvas:
     drawn = Canvas(np.array([0.0, 0.0]), np.array([40.0, 20.0]), theme)
-    drawn.lines([np.array([(0.0, 0.0), (40.0, 20.0)])], theme.run(0), 2.0, tips=[name])
+    drawn.lines([np.array([(0.0, 0.0), (40.0, 20.0)])], theme.run(0), 2.0, tips=[name], key=name)
     drawn.dots(np.array([(1.23456789, 2.0)]), theme["ink"], 4.0, tips=["a dot"])
     drawn.words(np.array([(5.0, 5.0)]), [name])
-    drawn.run("runs", None)
-    drawn.run(name, theme.run(0))
     drawn.finish([name])
     return drawn
 

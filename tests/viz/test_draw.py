@@ -1,4 +1,3 @@
-import re
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 
@@ -53,7 +52,7 @@ def test_a_merge_names_its_runs_in_their_colours(merge_of) -> None:
     result, _ = merge_of([["a", "b"], ["lone"]])
     texts, titles = seen(draw_merged(result, LIGHT))
     assert {"3 runs of 2 sites", "a", "b", "run that is merged with none"} <= set(texts)
-    assert any(re.fullmatch(r"lone; turned by -?\d+°", text) for text in texts)
+    assert "lone" in texts
     assert {title.split(" by ")[-1] for title in titles if " by " in title} >= {"a, b", "lone"}
     svg = draw_merged(result, LIGHT).as_bytes("svg").decode()
     assert LIGHT.run(0) in svg

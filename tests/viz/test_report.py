@@ -163,9 +163,13 @@ def test_the_page_holds_drives_changes_health_settings_versions(merge_of) -> Non
     assert "junctions 1 and 2" not in told  # may be chance
 
 
-def test_the_same_report_is_the_same_page(merge_of) -> None:
+def test_the_same_report_is_the_same_page(merge_of, monkeypatch) -> None:
     result, maps = merge_of([["a", "b"], ["c"]])
-    assert page_of(result, maps) == page_of(result, list(reversed(maps)))
+    pages = set()
+    for own in (maps, maps[::-1]):
+        monkeypatch.setattr("bokeh.util.serialization._simple_id", 999)  # as in a new process
+        pages.add(page_of(result, own))
+    assert len(pages) == 1
 
 
 def test_a_site_has_layers_and_says_what_is_clicked(merge_of) -> None:
@@ -179,9 +183,9 @@ def test_a_site_has_layers_and_says_what_is_clicked(merge_of) -> None:
         "junction seen by several runs",
         "numbers",
     } <= set(layers)
-    (strands,) = (d for d in layers[None] if "xs" in d)
+    (strands,) = layers["a"]
     assert strands["told"][0] == "Corridor 0 to 1: 10.00 ± 0.10 m, driven 2 times by a, b"
-    assert len(strands["xs"]) == 10  # a strand for each run
+    assert len(strands["xs"]) == len(layers["b"][0]["xs"]) == 5
     (dots,) = layers["junction seen by several runs"]
     assert dots["told"][0].startswith(
         "Junction 0: 3 branches, 1 pass by a (its 0), b (its 0); at (0.00, 0.00) m"
