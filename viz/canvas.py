@@ -35,6 +35,7 @@ from ..topology.se2 import turned
 from ..topology.wording import legible
 from .geometry import PENS, Marker
 from .palette import LARGE, MEDIUM, SMALL, THIN, Theme
+from .surface import Look
 
 Format = Literal["svg", "png"]
 
@@ -137,25 +138,17 @@ class Canvas:
     def _pen_pt(self) -> float:
         return min(PEN_PT, self.points_per_m * self.usual_m / PENS)
 
-    def lines(
-        self,
-        paths: Sequence[FloatArray],
-        colour: str,
-        pens: float = 1.0,
-        *,
-        tips: Sequence[str] = (),
-        key: str = "",
-    ) -> None:
-        """Draw polylines, (k, 2) each [m]. tips: the tooltip in an SVG of each, or one of all."""
-        for rows, own in self._told_apart(len(paths), tips):
-            self._note(key, _line(colour, PEN_PT * min(pens, MEDIUM)))
+    def lines(self, paths: Sequence[FloatArray], look: Look) -> None:
+        """Draw polylines, (k, 2) each [m], with tooltips in an SVG."""
+        for rows, own in self._told_apart(len(paths), look.tips):
+            self._note(look.key, _line(look.colour, PEN_PT * min(look.pens, MEDIUM)))
             drawn = [paths[k] for k in rows]
             codes = [np.r_[Outline.MOVETO, np.full(len(p) - 1, Outline.LINETO)] for p in drawn]
             patch = PathPatch(
                 Outline(np.concatenate(drawn), np.concatenate(codes)),
                 facecolor="none",
-                edgecolor=colour,
-                linewidth=pens * self._pen_pt,
+                edgecolor=look.colour,
+                linewidth=look.pens * self._pen_pt,
                 capstyle="round",
                 joinstyle="round",
             )
@@ -170,57 +163,35 @@ class Canvas:
         elif count:
             yield range(count), tips if len(tips) == 1 else ()
 
-    def dots(
-        self,
-        xy: FloatArray,
-        colour: str,
-        pens: float = MEDIUM,
-        *,
-        tips: Sequence[str] = (),
-        ring: bool = False,
-        marker: Marker = "circle",
-        key: str = "",
-    ) -> None:
-        """Draw filled marks, or rings, at xy (n, 2) [m]. tips: as of `lines`."""
-        for rows, own in self._told_apart(len(xy), tips):
-            self._note(
-                key, self._markers(xy[:0], colour, min(pens, LARGE), PEN_PT, marker, ring=ring)
-            )
-            marks = self._markers(xy[rows], colour, pens, self._pen_pt, marker, ring=ring)
-            self._add(marks, own)
+    def dots(self, xy: FloatArray, look: Look) -> None:
+        """Draw filled marks, or rings, at xy (n, 2) [m]."""
+        for rows, own in self._told_apart(len(xy), look.tips):
+            self._note(look.key, self._markers(xy[:0], look, min(look.pens, LARGE), PEN_PT))
+            self._add(self._markers(xy[rows], look, look.pens, self._pen_pt), own)
 
     def _note(self, key: str, sample: Line2D) -> None:
         """Add an entry to the key, unless there is one of this name."""
         if key:
             self._marks.setdefault(key, sample)
 
-    def _markers(
-        self,
-        xy: FloatArray,
-        colour: str,
-        pens: float,
-        pen_pt: float,
-        marker: Marker,
-        *,
-        ring: bool,
-    ) -> Line2D:
+    def _markers(self, xy: FloatArray, look: Look, pens: float, pen_pt: float) -> Line2D:
         """Marks at xy (n, 2) [m]."""
         return Line2D(
             xy[:, 0],
             xy[:, 1],
             linestyle="none",
-            marker=MARKERS[marker],
+            marker=MARKERS[look.marker],
             markersize=pens * pen_pt,
-            markerfacecolor="none" if ring else colour,
-            markeredgecolor=colour if ring else self.theme["paper"],
+            markerfacecolor="none" if look.ring else look.colour,
+            markeredgecolor=look.colour if look.ring else self.theme["paper"],
             markeredgewidth=THIN * pen_pt,
         )
 
-    def cells(self, grid: Grid, colour: str, alpha: float = 1.0, key: str = "") -> None:
+    def cells(self, grid: Grid, look: Look, alpha: float = 1.0) -> None:
         """Draw the occupied cells of a grid that lies along the axes."""
-        self._note(key, _line(colour, SMALL * PEN_PT))
+        self._note(look.key, _line(look.colour, SMALL * PEN_PT))
         pixels = np.zeros((*grid.free.shape, 4))
-        pixels[~grid.free & ~grid.unknown] = (*to_rgb(colour), alpha)
+        pixels[~grid.free & ~grid.unknown] = (*to_rgb(look.colour), alpha)
         x, y, _ = grid.origin
         high, wide = (count * grid.resolution_m for count in grid.free.shape)
         picture = self._axes.imshow(

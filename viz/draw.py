@@ -24,6 +24,7 @@ from .palette import LARGE, MEDIUM, THIN, Theme
 from .parts import Part, lay_out, ranks
 from .scene import draw_component, draw_ends, draw_unexplored, draw_walls
 from .sheet import Cell, corners_of, outline, upright_rad
+from .surface import Look
 from .walls import wall_points, walls_of
 
 NO_MAPS: Mapping[str, TopoMap] = MappingProxyType({})
@@ -73,7 +74,7 @@ def _corridors_of(canvas: Canvas, m: TopoMap, T: FloatArray) -> None:
         paths, tips = [apply(T, m.paths[i]) for i in rows], [describe_corridor(m, i) for i in rows]
         key = "corridor" if often == 1 else "corridor, driven more often"
         pens = THIN * (1 + often)
-        canvas.lines(paths, canvas.theme["single"], pens, tips=tips, key=key)
+        canvas.lines(paths, Look(canvas.theme["single"], pens, tips=tips, key=key))
 
 
 def _junctions_of(canvas: Canvas, m: TopoMap, T: FloatArray) -> None:
@@ -84,7 +85,7 @@ def _junctions_of(canvas: Canvas, m: TopoMap, T: FloatArray) -> None:
         rows = np.flatnonzero(group == degree).tolist()
         colour, pens = canvas.theme[f"degree {degree}"], LARGE if degree >= 3 else MEDIUM
         canvas.dots(
-            xy[rows], colour, pens, tips=[_describe_junction(m, i) for i in rows], key=label
+            xy[rows], Look(colour, pens, tips=[_describe_junction(m, i) for i in rows], key=label)
         )
     if len(m) <= MOST_NUMBERED:
         canvas.words(xy, [*map(str, range(len(m)))])
@@ -205,6 +206,6 @@ def draw_frames(canvas: Canvas, cells: Sequence[Cell], titles: Sequence[str]) ->
         return
     for cell, title in zip(cells, titles, strict=True):
         (x0, _), (x1, top) = cell.low, cell.high
-        canvas.lines([outline(cell.low, cell.high)], canvas.theme["card"], THIN)
+        canvas.lines([outline(cell.low, cell.high)], Look(canvas.theme["card"], THIN))
         room = letters((x1 - x0) * canvas.points_per_m, TEXT_PT)
         canvas.title(np.array([(x0 + x1) / 2, top]), short(title, room))

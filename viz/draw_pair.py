@@ -4,7 +4,6 @@ speak most for a placement and against it, laid over each other."""
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -29,6 +28,7 @@ from .geometry import MOST_NUMBERED, contradiction_spots, extent, usual_m
 from .palette import LARGE, RING, SMALL, THIN, Theme
 from .scene import draw_walls
 from .sheet import arrange, upright_rad
+from .surface import Look
 from .walls import wall_points, walls_of
 
 FULL_BITS = 6.0
@@ -46,20 +46,20 @@ def draw_decision(a: TopoMap, b: TopoMap, decision: Decision, theme: Theme) -> C
     of_a, of_b = (
         np.concatenate([extent(m), wall_points(walls_of([m.views], m.frame))]) for m in (a, b)
     )
-    points = [np.concatenate([of_a, apply(p.T_a_b, of_b)]) for p in pictures] or [of_a, of_b]
+    points = [np.concatenate([of_a, apply(T_a_b, of_b)]) for *_, T_a_b in pictures] or [of_a, of_b]
     turns = upright[:1] * len(pictures) or upright
     cells = arrange(points, turns)
     usual = usual_m(np.concatenate([a.length, b.length]))
     canvas = sheet_canvas(cells, theme, WIDTH_PT, "pair", usual)
-    titles = [p.title for p in pictures] or [a.run, b.run]
+    titles = [title for title, *_ in pictures] or [a.run, b.run]
     draw_frames(canvas, cells, titles)
-    for picture, cell in zip(pictures, cells, strict=bool(pictures)):
-        poses = (cell.T_sheet_map, compose(cell.T_sheet_map, picture.T_a_b))
+    for (_, placement, T_a_b), cell in zip(pictures, cells, strict=bool(pictures)):
+        poses = (cell.T_sheet_map, compose(cell.T_sheet_map, T_a_b))
         _own_maps(canvas, (a, b), poses)
-        if picture.placement is not None:
+        if placement is not None:
             at = (apply(poses[0], a.xy), apply(poses[1], b.xy))
-            _evidence(canvas, picture.placement, at, digits_of(decision))
-            _numbers(canvas, picture.placement, (a, b), at)
+            _evidence(canvas, placement, at, digits_of(decision))
+            _numbers(canvas, placement, (a, b), at)
     if not pictures:
         _own_maps(canvas, (a, b), [cell.T_sheet_map for cell in cells])
     heading = [headline(decision), because(decision), advice(decision)]
@@ -67,26 +67,18 @@ def draw_decision(a: TopoMap, b: TopoMap, decision: Decision, theme: Theme) -> C
     return canvas
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Picture:
-    """One picture of map b over map a. T_a_b: b's pose in it."""
-
-    title: str
-    placement: Placement | None
-    T_a_b: FloatArray
-
-
-def _pictures(decision: Decision) -> list[_Picture]:
-    """The pictures of a decision: the verdict's placement, and the next best one. A pair joined
-    through other runs starts with the placement that follows from those."""
-    out: list[_Picture] = []
+def _pictures(decision: Decision) -> list[tuple[str, Placement | None, FloatArray]]:
+    """The pictures of b over a, each with a title, the placement shown, and T_a_b: the verdict's
+    placement, and the next best one. A pair joined through other runs starts with the placement
+    that follows from those."""
+    out: list[tuple[str, Placement | None, FloatArray]] = []
     if decision.by_others is not None:
         title = f"joined through {listed(decision.pair.through, 2)}"
-        out.append(_Picture(title, None, decision.by_others))
+        out.append((title, None, decision.by_others))
     for k, placement in enumerate(decision.placements):
         called = other_name(decision) if k else "placement"
         bits = shown_bits(placement.alignment.evidence_bits)
-        out.append(_Picture(f"{called}: {bits} bits", placement, placement.alignment.transform))
+        out.append((f"{called}: {bits} bits", placement, placement.alignment.transform))
     return out
 
 
@@ -98,8 +90,8 @@ def _own_maps(canvas: Canvas, maps: tuple[TopoMap, TopoMap], poses: Sequence[Flo
         pale, key = theme.pale(theme.run(k)), f"walls of {m.run}"
         draw_walls(canvas, [m.views], T, pale, alpha=1 / (1 + k), key=key)
     for k, (m, T) in enumerate(zip(maps, poses, strict=True)):
-        canvas.lines([apply(T, p) for p in m.paths], theme.run(k), tips=[m.run], key=m.run)
-        canvas.dots(apply(T, m.xy), theme.run(k), SMALL)
+        canvas.lines([apply(T, p) for p in m.paths], Look(theme.run(k), tips=[m.run], key=m.run))
+        canvas.dots(apply(T, m.xy), Look(theme.run(k), SMALL))
 
 
 def _evidence(
@@ -117,18 +109,18 @@ def _evidence(
             )
             pens = 1 + SMALL * min(abs(term.bits) / FULL_BITS, 1.0)
             tips = [_describe_term(term, digits)]
-            canvas.lines([at[0][[*term.a]]], theme[ink], pens, tips=tips, key=key)
+            canvas.lines([at[0][[*term.a]]], Look(theme[ink], pens, tips=tips, key=key))
     same = [f"junction {u} = junction {v}" for u, v in pairs.tolist()]
     ends = [at[k][pairs[:, k]] for k in (0, 1)]
-    canvas.lines([*np.stack(ends, axis=1)], theme["ink"], THIN, tips=same)
+    canvas.lines([*np.stack(ends, axis=1)], Look(theme["ink"], THIN, tips=same))
     for xy in ends:
         key = "matched junctions, tied"
-        canvas.dots(xy, theme["ink"], LARGE, ring=True, tips=same, key=key)
+        canvas.dots(xy, Look(theme["ink"], LARGE, ring=True, tips=same, key=key))
     terms = [t for t in itemised(placement, AGAINST) if t.a or t.b]
     against = ((_describe_term(t, digits), (t.a, t.b)) for t in terms)
     for spot, words in contradiction_spots(against, *at):
         colour, key = theme["against"], CONTRADICTIONS
-        canvas.dots(spot[None], colour, RING, ring=True, tips=[words], key=key)
+        canvas.dots(spot[None], Look(colour, RING, ring=True, tips=[words], key=key))
 
 
 def _numbers(

@@ -4,7 +4,6 @@ draws it."""
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Literal
 
@@ -88,26 +87,20 @@ def beside(path: FloatArray, offset_m: float) -> FloatArray:
     return np.asarray(points + offset_m * mean / np.maximum(cosine, 0.5)[:, None])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Strand:
-    """One run's line of a fused corridor."""
-
-    edge: int
-    run: str
-    path: FloatArray
-
-
-def strands(fused: FusedMap, edges: IntArray, pen: float) -> list[Strand]:
-    """The given fused corridors as parallel lines, one for each run that drove them, a `pen` [m]
-    apart or closer where there are more than WIDEST_RIBBON runs."""
-    found = []
+def strands(
+    fused: FusedMap, edges: IntArray, pen: float
+) -> dict[str, list[tuple[int, FloatArray]]]:
+    """The given fused corridors as parallel lines, one for each run that drove them: for each run
+    the corridors and its lines (k, 2), a `pen` [m] apart, or closer where there are more than
+    WIDEST_RIBBON runs."""
+    found: dict[str, list[tuple[int, FloatArray]]] = {}
     for edge in edges.tolist():
         runs = sorted({run for run, _ in fused.edge_members[edge]})
         apart = pen * min(1.0, WIDEST_RIBBON / max(len(runs), 1))
         for k, run in enumerate(runs):
             aside = apart * (k - (len(runs) - 1) / 2)
-            found.append(Strand(edge, run, beside(fused.paths[edge], aside)))
-    return found
+            found.setdefault(run, []).append((edge, beside(fused.paths[edge], aside)))
+    return dict(sorted(found.items()))
 
 
 def changed_path(fused: FusedMap, edges: IntArray, change: Change) -> FloatArray:

@@ -29,12 +29,13 @@ from .recording import (
     PathParts,
     Recording,
     blueprint,
-    corridor_attributes,
     entity,
     map_view,
     markdown,
     write_branches,
+    write_corridors,
     write_grid,
+    write_junctions,
     write_recording,
 )
 from .robot_track import MOST_POINTS, RobotTrack, robot_track
@@ -169,31 +170,20 @@ SHADES = ("dim", "single", "ink")
 
 def _corridors(recording: Recording, topomap: TopoMap) -> None:
     """Write the corridors, brighter the more often they were driven."""
-    if len(topomap.source) == 0:
-        return
     times = np.clip(topomap.traversals, 1, len(SHADES))
-    recording.lines(
-        (*MAP, "corridors"),
-        topomap.paths,
-        Order.CORRIDOR,
-        [DARK[SHADES[k - 1]] for k in times.tolist()],
-        corridor_attributes(topomap, np.arange(len(topomap.source))),
-        radii=pen_m(topomap) / 2,
-    )
+    shades = [DARK[SHADES[k - 1]] for k in times.tolist()]
+    lines = dict(enumerate(topomap.paths))
+    path, pen = (*MAP, "corridors"), pen_m(topomap)
+    write_corridors(recording, path, topomap, lines, colours=shades, pen=pen)
 
 
 def _junctions(recording: Recording, topomap: TopoMap) -> None:
     """Write the vertices, coloured by their branches."""
     n = len(topomap)
-    if n == 0:
-        return
     of_rooms = {"area_m2": topomap.area_m2, "width_m": topomap.width_m}
     sizes: dict[str, Any] = {name: size for name, size in of_rooms.items() if size is not None}
     pens = np.where(topomap.is_turned, SMALL, np.where(topomap.degree >= 3, LARGE, MEDIUM))
     values = {
-        "vertex": np.arange(n),
-        "kind": list(topomap.kind),
-        "branches": topomap.degree,
         "headings_deg": [
             ", ".join(f"{h:.0f}" for h in np.degrees(topomap.branches[i])) for i in range(n)
         ],
@@ -201,15 +191,12 @@ def _junctions(recording: Recording, topomap: TopoMap) -> None:
         "confidence": topomap.confidence,
         "position_sigma_m": topomap.position_sigma,
     }
-    recording.dots(
-        (*MAP, "junctions"),
-        topomap.xy,
-        Order.JUNCTION,
-        [DARK[f"degree {min(degree, 5)}"] for degree in topomap.degree.tolist()],
-        values | sizes,
-        radii=pens * pen_m(topomap) / 2,
-        labels=[str(i) for i in range(n)],
-        show_labels=n <= MOST_NUMBERED,
+    write_junctions(
+        *(recording, (*MAP, "junctions"), topomap, np.arange(n)),
+        colours=[DARK[f"degree {min(degree, 5)}"] for degree in topomap.degree.tolist()],
+        sizes=pens * pen_m(topomap),
+        more=values | sizes,
+        numbered=n <= MOST_NUMBERED,
     )
 
 

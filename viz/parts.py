@@ -12,9 +12,7 @@ from numpy.typing import NDArray
 
 from ..merge.result import Component, MergeResult, PairVerdict, Standing
 from ..topology.arrays import FloatArray, IntArray
-from ..topology.se2 import apply, inverse
 from . import palette
-from .geometry import bounds
 from .sheet import Cell, arrange, upright_rad
 
 
@@ -49,11 +47,9 @@ def lay_out(
     result: MergeResult,
     to_hold: Mapping[int, FloatArray],
     shown: Collection[int] | None = None,
-    aside: float = 0.0,
 ) -> list[Part]:
     """Components on one sheet, `in_order`: all, or those with the ids `shown`. to_hold: points
-    (k, 2) that the cell of a component, by its id, is to hold beside its map [m]; aside: room at
-    the left of those of several runs, over their width."""
+    (k, 2) that the cell of a component, by its id, is to hold beside its map [m]."""
     fused = result.fused
     order = [c for c in in_order(result) if shown is None or c.id in shown]
     of_edge = fused.component[fused.source] if len(fused.source) else np.zeros(0, np.int64)
@@ -64,12 +60,6 @@ def lay_out(
         for c, rows, lines in zip(order, vertices, paths, strict=True)
     ]
     turns = [upright_rad(p) for p in paths]
-    for k, c in enumerate(order):
-        if aside and len(c.poses) > 1:
-            upright = np.array([0.0, 0.0, turns[k]])
-            low, high = bounds([apply(upright, points[k])], margin=0.0)
-            left = apply(inverse(upright), [low[0] - aside * (high[0] - low[0]), low[1]])
-            points[k] = np.concatenate([points[k], left[None]])
     cells = arrange(points, turns)
     return [Part(*row) for row in zip(order, cells, vertices, edges, strict=True)]
 

@@ -239,16 +239,63 @@ def write_cards(recording: Recording, root: str, cells: list[Cell], titles: Sequ
     recording.words((root, "titles"), tops, shown, DARK.ink)
 
 
-def corridor_attributes(graph: Graph, edges: IntArray) -> dict[str, Any]:
-    """The attributes of corridors."""
+def write_corridors(
+    recording: Recording,
+    path: PathParts,
+    graph: Graph,
+    lines: Mapping[int, FloatArray],
+    *,
+    colours: Colour | Sequence[Colour],
+    pen: float,
+    more: Mapping[str, Any] = NOTHING,
+) -> None:
+    """Write corridors with their attributes and `more`; no entity without any. lines: of each its
+    polyline (k, 2), by its number; pen: width of a line [m]."""
+    if not lines:
+        return
+    edges = np.array([*lines])
     ends = zip(graph.source[edges].tolist(), graph.target[edges].tolist(), strict=True)
-    return {
+    values = {
         "corridor": edges,
         "between": [f"{u} - {v}" for u, v in ends],
         "length_m": graph.length[edges],
         "length_sigma_m": graph.length_sigma[edges],
         "traversals": graph.traversals[edges],
     }
+    shown = [*lines.values()]
+    recording.lines(path, shown, Order.CORRIDOR, colours, {**values, **more}, radii=pen / 2)
+
+
+def write_junctions(
+    recording: Recording,
+    path: PathParts,
+    graph: Graph,
+    rows: IntArray,
+    *,
+    colours: Colour | Sequence[Colour],
+    sizes: float | FloatArray,
+    more: Mapping[str, Any] = NOTHING,
+    numbered: bool = False,
+) -> None:
+    """Write vertices with their attributes and `more`; no entity without any. sizes: of all or of
+    each [m]; numbered: show their numbers, not only of the one pointed at."""
+    if not len(rows):
+        return
+    values = {
+        "vertex": rows,
+        "kind": [graph.kind[v] for v in rows.tolist()],
+        "branches": graph.branches.counts[rows],
+    }
+    recording.dots(
+        path,
+        graph.xy[rows],
+        Order.JUNCTION,
+        colours,
+        {**values, **more},
+        radii=sizes / 2,
+        labels=[*map(str, rows.tolist())],
+        show_labels=numbered,
+    )
 
 
 def write_branches(

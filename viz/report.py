@@ -71,7 +71,8 @@ def report_page(report: Report) -> str:
     figures |= {f"site-{site['id']}": site["figure"] for site in sites}
     if result is not None and len(runs) > 1:
         figures["matrix"] = matrix_figure(result)
-    items = {"runs": page_data(result, runs, report.maps, report.decisions, report.where)}
+    given = (result, runs, report.maps, report.decisions, report.where)
+    items = {"runs": page_data(*given, as_merged=report.as_merged)}
     items |= {name: json_item(figure) for name, figure in figures.items()}
     counts = {} if result is None else result.standings()
     library = Resources(mode="inline", components=["bokeh"]).js_raw[0]

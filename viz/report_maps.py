@@ -27,11 +27,12 @@ from ..topology.run import Grid
 from ..topology.topomap import TopoMap
 from ..topology.turning_vertices import with_turning_points
 from ..topology.wording import legible
-from .geometry import MARGIN, PENS, Marker, usual_m
+from .geometry import MARGIN, PENS, usual_m
 from .palette import BOTH, MEDIUM, rgb
 from .parts import lay_out, ranks
 from .scene import draw_component, draw_walls
 from .sheet import upright_rad
+from .surface import Look
 from .walls import wall_points, walls_of
 
 CHOSEN = BOTH["pink"]
@@ -138,57 +139,39 @@ class SiteFigure:
         self.plot.update(tags=[round(usual, 2)])
         self.pen_m = min(PEN_PX * float((high - low).max()) / PICTURE_PX, usual / PENS)
 
-    def lines(
-        self,
-        paths: Sequence[FloatArray],
-        colour: str,
-        pens: float = 1.0,
-        *,
-        tips: Sequence[str] = (),
-        key: str = "",
-    ) -> None:
-        """Draw polylines; as of `Surface`."""
+    def lines(self, paths: Sequence[FloatArray], look: Look) -> None:
+        """Draw polylines; a click on one tells its tip."""
         if not paths:
             return
         x, y = path_columns(paths)
         self.plot.multi_line(
             "xs",
             "ys",
-            source=_told({"xs": x, "ys": y}, tips),
-            line_color=colour,
-            line_width=pens * PEN_PX,
+            source=_told({"xs": x, "ys": y}, look.tips),
+            line_color=look.colour,
+            line_width=look.pens * PEN_PX,
             line_cap="round",
             line_join="round",
-            name=key or None,
+            name=look.key or None,
             nonselection_line_alpha=1.0,
             selection_line_color=CHOSEN,
         )
 
-    def dots(
-        self,
-        xy: FloatArray,
-        colour: str,
-        pens: float = MEDIUM,
-        *,
-        tips: Sequence[str] = (),
-        ring: bool = False,
-        marker: Marker = "circle",
-        key: str = "",
-    ) -> None:
-        """Draw marks; as of `Surface`."""
+    def dots(self, xy: FloatArray, look: Look) -> None:
+        """Draw marks; a click on one tells its tip."""
         if not len(xy):
             return
         x, y = columns(xy)
         self.plot.scatter(
             "x",
             "y",
-            source=_told({"x": x, "y": y}, tips),
-            size=pens * PEN_PX,
-            marker=marker,
-            fill_color=None if ring else colour,
-            line_color=colour,
-            line_width=PEN_PX if ring else 0,
-            name=key or None,
+            source=_told({"x": x, "y": y}, look.tips),
+            size=look.pens * PEN_PX,
+            marker=look.marker,
+            fill_color=None if look.ring else look.colour,
+            line_color=look.colour,
+            line_width=PEN_PX if look.ring else 0,
+            name=look.key or None,
             nonselection_fill_alpha=1.0,
             nonselection_line_alpha=1.0,
             selection_fill_color=CHOSEN,
@@ -201,10 +184,10 @@ class SiteFigure:
             style = "bold" if bold else "normal"
             write_beside(self.plot, xy, texts, BOTH.ink, "left", text_font_style=style)
 
-    def cells(self, grid: Grid, colour: str, alpha: float = 1.0, key: str = "") -> None:
+    def cells(self, grid: Grid, look: Look, alpha: float = 1.0) -> None:
         """Draw cells, as a picture; as of `Surface`."""
         pixels = np.zeros((*grid.free.shape, 4), np.uint8)
-        pixels[~grid.free & ~grid.unknown] = (*rgb(colour), round(255 * alpha))
+        pixels[~grid.free & ~grid.unknown] = (*rgb(look.colour), round(255 * alpha))
         out = io.BytesIO()
         Image.fromarray(pixels[::-1]).quantize(2).save(out, "PNG", optimize=True)
         url = "data:image/png;base64," + b64encode(out.getvalue()).decode()
@@ -215,7 +198,7 @@ class SiteFigure:
             source=ColumnDataSource({"url": [url], **place}),
             **{name: name for name in place},
             anchor="bottom_left",
-            name=key,
+            name=look.key,
         )
 
 

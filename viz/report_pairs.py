@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Mapping, Sequence
-from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -112,11 +111,14 @@ def page_data(
     maps: Mapping[str, TopoMap],
     decisions: Mapping[tuple[str, str], Decision],
     where: Sequence[str],
+    *,
+    as_merged: bool,
 ) -> dict[str, Any]:
     """What the page knows of runs and pairs, as JSON values.
 
     decisions: on the pairs whose evidence is shown line by line; where: options that name the
-    workspace in a call.
+    workspace in a call; as_merged: whether the maps are those that were merged, so that they have
+    the junctions that placements name.
     """
     row = {run: k for k, run in enumerate(runs)}
     home = home_of(result.components if result else ())
@@ -126,7 +128,7 @@ def page_data(
         said = reasons.setdefault(legible(p.reason), len(reasons))
         entry: dict[str, Any] = {"i": row[p.a], "j": row[p.b], "s": CLASS[p.standing] - 1}
         entry |= {"r": said, "bits": shown_bits(p.evidence_bits)}
-        pairs.append(entry | _opened(p, decisions.get((p.a, p.b)), maps))
+        pairs.append(entry | _opened(p, decisions.get((p.a, p.b)), maps if as_merged else {}))
     return {
         "runs": [
             {"name": legible(run), "shell": shlex.quote(run)}
@@ -180,8 +182,8 @@ def _placed(
     pair: PairVerdict,
     placement: Placement | None = None,
 ) -> dict[str, Any] | None:
-    """A placement to be drawn; None if the maps do not have the junctions that it names."""
-    if not _is_of(alignment, maps, pair):
+    """A placement to be drawn; None without both maps."""
+    if not {pair.a, pair.b} <= maps.keys():
         return None
     x, y, turn = alignment.transform.tolist()
     out: dict[str, Any] = {
@@ -195,15 +197,3 @@ def _placed(
         links = itemised(placement, LINKS)
         out["links"] = [list(t.a) for t in links if t.bits > 0 and len(t.a) == 2]
     return out
-
-
-def _is_of(alignment: Alignment, maps: Mapping[str, TopoMap], pair: PairVerdict) -> bool:
-    """Whether both maps are there and have the junctions that an alignment names."""
-    if not {pair.a, pair.b} <= maps.keys():
-        return False
-    for side, m in enumerate((maps[pair.a], maps[pair.b])):
-        against = chain.from_iterable(where[side] for where in alignment.contradicting)
-        named = [*alignment.matched[:, side].tolist(), *against]
-        if max(named, default=0) >= len(m) + len(m.turning_points):
-            return False
-    return True

@@ -6,7 +6,6 @@ What is drawn later lies above.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from typing import Protocol
 
 import numpy as np
 
@@ -14,7 +13,6 @@ from ..merge.change import Change, ChangeKind, numbered
 from ..merge.drive import Drive
 from ..merge.result import FusedMap
 from ..topology.arrays import BoolArray, FloatArray
-from ..topology.run import Grid
 from ..topology.se2 import apply
 from ..topology.topomap import Graph
 from ..topology.views import Views
@@ -22,15 +20,14 @@ from ..topology.wording import counted, listed
 from .geometry import (
     TURNED,
     TURNED_MARKERS,
-    Marker,
-    Strand,
     branch_arrows,
     changed_path,
     strands,
 )
 from .pages import describe_corridor
-from .palette import LARGE, MEDIUM, RING, Theme
+from .palette import LARGE, MEDIUM, RING
 from .parts import Part
+from .surface import Look, Surface
 from .walls import FINE_M, walls_of
 
 MOST_RUNS = 8
@@ -42,48 +39,6 @@ CHANGED = {
     ChangeKind.DIFFERS: ("at times", "there at times, with its number in the list"),
 }
 """Colours of changes, and what the key calls them."""
-
-
-class Surface(Protocol):
-    """A picture in metres. Widths and sizes are in pens, the widths of a corridor's line; colours
-    are #rrggbb. key: what the marks are, an entry of the key of the
-    picture; tips: what each says when pointed at, or one of all."""
-
-    theme: Theme
-
-    @property
-    def pen_m(self) -> float:
-        """Width of a corridor's line [m]."""
-
-    def lines(
-        self,
-        paths: Sequence[FloatArray],
-        colour: str,
-        pens: float = 1.0,
-        *,
-        tips: Sequence[str] = (),
-        key: str = "",
-    ) -> None:
-        """Draw polylines, (k, 2) each [m]."""
-
-    def dots(
-        self,
-        xy: FloatArray,
-        colour: str,
-        pens: float = MEDIUM,
-        *,
-        tips: Sequence[str] = (),
-        ring: bool = False,
-        marker: Marker = "circle",
-        key: str = "",
-    ) -> None:
-        """Draw filled marks, or rings, at xy (n, 2) [m]."""
-
-    def words(self, xy: FloatArray, texts: Sequence[str], *, bold: bool = False) -> None:
-        """Write a text beside each of the points (n, 2) [m], where there is room."""
-
-    def cells(self, grid: Grid, colour: str, alpha: float = 1.0, key: str = "") -> None:
-        """Draw the occupied cells of a grid that lies along the axes."""
 
 
 def draw_walls(
@@ -98,14 +53,14 @@ def draw_walls(
     """Draw the walls that views show, moved by T, in cells that can be seen."""
     grid = walls_of([v.moved(T) for v in views], "", max(FINE_M, surface.pen_m / 2))
     if grid is not None:
-        surface.cells(grid, colour, alpha, key)
+        surface.cells(grid, Look(colour, key=key), alpha)
 
 
 def draw_unexplored(surface: Surface, m: Graph, T: FloatArray, free: BoolArray) -> None:
     """Draw the branches that were never driven, `free` (total branches,)."""
     arrows = branch_arrows(m, free, surface.pen_m)
     ends = [apply(T, np.stack([o, o + v])) for o, v in zip(*arrows, strict=True)]
-    surface.lines(ends, surface.theme["unexplored"], key="branch never driven")
+    surface.lines(ends, Look(surface.theme["unexplored"], key="branch never driven"))
 
 
 def draw_ends(surface: Surface, xy: FloatArray, kinds: Sequence[str], tips: Sequence[str]) -> None:
@@ -114,7 +69,7 @@ def draw_ends(surface: Surface, xy: FloatArray, kinds: Sequence[str], tips: Sequ
     for kind, marker in TURNED_MARKERS.items():
         rows = [k for k, own in enumerate(kinds) if own == kind]
         own_tips = [tips[k] for k in rows]
-        surface.dots(xy[rows], colour, MEDIUM, tips=own_tips, marker=marker, key=TURNED[kind])
+        surface.dots(xy[rows], Look(colour, MEDIUM, tips=own_tips, marker=marker, key=TURNED[kind]))
 
 
 def draw_component(
@@ -138,16 +93,15 @@ def draw_component(
     T, theme = part.cell.T_sheet_map, surface.theme
     _bands(surface, fused, part, drives or (), changes)
     alone = len(part.component.poses) == 1
-    of_run: dict[str, list[Strand]] = {}
-    for strand in strands(fused, part.edges, surface.pen_m):
-        of_run.setdefault(strand.run, []).append(strand)
-    for run, own in sorted(of_run.items()):
+    for run, own in strands(fused, part.edges, surface.pen_m).items():
         key = run if several == 1 else f"{part.component.name}: {run}"
         surface.lines(
-            [apply(T, strand.path) for strand in own],
-            theme["single"] if alone else theme.run(rank[run]),
-            tips=[_describe_strand(fused, strand.edge, run) for strand in own],
-            key="run that is merged with none" if alone else key,
+            [apply(T, path) for _, path in own],
+            Look(
+                theme["single"] if alone else theme.run(rank[run]),
+                tips=[_describe_strand(fused, edge, run) for edge, _ in own],
+                key="run that is merged with none" if alone else key,
+            ),
         )
     if drives is not None:
         draw_unexplored(surface, fused, T, free & np.isin(fused.branches.owner, part.vertices))
@@ -163,7 +117,7 @@ def draw_component(
     ):
         rows = part.vertices[which & ~turned]
         tips = [_describe_junction(fused, v) for v in rows.tolist()]
-        surface.dots(apply(T, fused.xy[rows]), theme[ink], pens, tips=tips, key=key)
+        surface.dots(apply(T, fused.xy[rows]), Look(theme[ink], pens, tips=tips, key=key))
     _rings(surface, part, drives or (), changes)
     named = [v for v in part.vertices[~turned].tolist() if numbers is None or v in numbers]
     surface.words(apply(T, fused.xy[named]), [*map(str, named)])
@@ -181,16 +135,18 @@ def _bands(
     own = [(k, drive) for k, drive in enumerate(drives, 1) if drive.component == part.component.id]
     surface.lines(
         [apply(T, drive.path) for _, drive in own],
-        theme["planned"],
-        RING,
-        tips=[f"Drive {k}: {'; '.join(drive.words)}; {drive.way}" for k, drive in own],
-        key="drive to record, from its number on",
+        Look(
+            theme["planned"],
+            RING,
+            tips=[f"Drive {k}: {'; '.join(drive.words)}; {drive.way}" for k, drive in own],
+            key="drive to record, from its number on",
+        ),
     )
     for kind, (ink, key) in CHANGED.items():
         some = [c for c in changes if c.component == part.component.id and c.kind is kind]
         paths = [apply(T, changed_path(fused, part.edges, c)) for c in some]
         tips = [describe_change(c, part.component.name) for c in some]
-        surface.lines(paths, theme.pale(theme[ink]), RING, tips=tips, key=key)
+        surface.lines(paths, Look(theme.pale(theme[ink]), RING, tips=tips, key=key))
 
 
 def _rings(
@@ -207,7 +163,7 @@ def _rings(
             beyond = [s for s in drive.stops if s.site != drive.site and s.junction is not None]
             others |= {stop.xy: str(stop.junction) for stop in beyond}
     at = apply(T, np.array([*begins]).reshape(-1, 2))
-    surface.dots(at, theme["unexplored"], RING, ring=True)
+    surface.dots(at, Look(theme["unexplored"], RING, ring=True))
     surface.words(at, [f"drive {', '.join(own)}" for own in begins.values()], bold=True)
     for k, change in numbered(changes):
         if change.component == part.component.id:
@@ -215,7 +171,7 @@ def _rings(
             if change.edge is None:
                 ink, key = CHANGED[change.kind]
                 tips = [describe_change(change, part.component.name)]
-                surface.dots(at, theme[ink], RING, ring=True, tips=tips, key=key)
+                surface.dots(at, Look(theme[ink], RING, ring=True, tips=tips, key=key))
             surface.words(at, [str(k)], bold=True)
     surface.words(apply(T, np.array([*others]).reshape(-1, 2)), [*others.values()])
 

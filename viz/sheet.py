@@ -15,9 +15,6 @@ from .geometry import MARGIN, MIN_SIDE_M
 ASPECT = 1.3
 """Target ratio of width to height of a sheet, that of the viewer's view."""
 
-WIDTHS_TRIED = 24
-"""Number of sheet widths that are compared."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cell:
@@ -59,8 +56,8 @@ def upright_rad(polylines: Sequence[FloatArray]) -> float:
 def arrange(point_sets: Sequence[FloatArray], turns_rad: Sequence[float]) -> list[Cell]:
     """A cell for each map from its points (n, 2) and rotation, in the given order.
 
-    Cells are laid in rows, left to right, the top row first (y points up); the row width is chosen
-    so that a sheet of ASPECT shows them largest. Of several each has room for a title. O(points).
+    Cells are laid in rows, left to right, the top row first (y points up). Of several each has room
+    for a title. O(points).
     """
     corners = []
     for points, turn in zip(point_sets, turns_rad, strict=True):
@@ -78,25 +75,16 @@ def arrange(point_sets: Sequence[FloatArray], turns_rad: Sequence[float]) -> lis
 
 
 def _shelves(sizes: Sequence[FloatArray]) -> list[FloatArray]:
-    """The low corner of each box, laid in top-aligned rows, for the row width that gives the
-    largest scale."""
-    if not sizes:
-        return []
-    widest = max(float(w) for w, _ in sizes)
-    widths = np.geomspace(widest, sum(float(w) for w, _ in sizes), WIDTHS_TRIED)
-    laid = [_rows(sizes, float(width)) for width in widths]
-    best = min(range(len(laid)), key=lambda i: (max(laid[i][1] / ASPECT, laid[i][2]), i))
-    return laid[best][0]
-
-
-def _rows(sizes: Sequence[FloatArray], width: float) -> tuple[list[FloatArray], float, float]:
-    """Low corners of the boxes in rows of at most `width`, and the sheet's width and height."""
+    """The low corner of each box, laid in top-aligned rows as wide as makes a sheet of ASPECT, and
+    half a box more, as rows end ragged."""
+    widest = max((float(w) for w, _ in sizes), default=0.0)
+    area = sum(float(w * h) for w, h in sizes)
+    width = max(widest, np.sqrt(ASPECT * area) + widest / 2)
     corners = []
-    x = top = row = used = 0.0
+    x = top = row = 0.0
     for w, h in sizes:
-        if x > 0 and x + w > width * (1 + 1e-9):
+        if x > 0 and x + w > width:
             x, top, row = 0.0, top - row, 0.0
         corners.append(np.array([x, top - h]))
         x, row = x + w, max(row, h)
-        used = max(used, x)
-    return corners, used, row - top
+    return corners
