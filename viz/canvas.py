@@ -18,12 +18,11 @@ from typing import Any, Literal
 
 import numpy as np
 from matplotlib import rc_context, rcdefaults, rcParams
+from matplotlib.collections import LineCollection
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
 from matplotlib.lines import Line2D
-from matplotlib.patches import PathPatch
-from matplotlib.path import Path as Outline
 from matplotlib.ticker import MaxNLocator
 from matplotlib.transforms import ScaledTranslation
 from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
@@ -31,10 +30,9 @@ from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 from ..merge.decision_text import short
 from ..topology.arrays import FloatArray
 from ..topology.run import Grid
-from ..topology.se2 import turned
 from ..topology.wording import legible
 from .geometry import PENS, Marker
-from .palette import LARGE, MEDIUM, SMALL, THIN, Theme
+from .palette import LARGE, MEDIUM, RING, SMALL, THIN, Theme
 from .surface import Look
 
 Format = Literal["svg", "png"]
@@ -59,10 +57,10 @@ LETTER = 0.62
 TALLEST = 1.5
 """Largest ratio of height to width of the drawing; a taller one is scaled down to it."""
 
-TURNS = np.radians([0, 45, -45, 90, -90, 135, -135, 180])
+AROUND = np.array([(1, 1), (1, -1), (-1, 1), (-1, -1), (1, 0), (-1, 0), (0, 1), (0, -1)])
 FARTHER = (1.0, 1.5, 2.0)
-"""By how much a text is turned round what it names, and moved away from it, off other texts. The
-first place is between corridors, which run along the axes in most maps."""
+"""Directions in which a text may stand from what it names, and how much farther away, off other
+texts. The first ones are between corridors, which run along the axes in most maps."""
 
 MOST_TOLD = 3000
 """Of more marks the others have no tooltips."""
@@ -142,17 +140,14 @@ class Canvas:
         """Draw polylines, (k, 2) each [m], with tooltips in an SVG."""
         for rows, own in self._told_apart(len(paths), look.tips):
             self._note(look.key, _line(look.colour, PEN_PT * min(look.pens, MEDIUM)))
-            drawn = [paths[k] for k in rows]
-            codes = [np.r_[Outline.MOVETO, np.full(len(p) - 1, Outline.LINETO)] for p in drawn]
-            patch = PathPatch(
-                Outline(np.concatenate(drawn), np.concatenate(codes)),
-                facecolor="none",
-                edgecolor=look.colour,
-                linewidth=look.pens * self._pen_pt,
+            drawn = LineCollection(
+                [paths[k] for k in rows],
+                colors=look.colour,
+                linewidths=look.pens * self._pen_pt,
                 capstyle="round",
                 joinstyle="round",
             )
-            self._add(patch, own)
+            self._add(drawn, own)
 
     def _told_apart(
         self, count: int, tips: Sequence[str]
@@ -209,29 +204,29 @@ class Canvas:
     def words(self, xy: FloatArray, texts: Sequence[str], *, bold: bool = False) -> None:
         """Write a text beside each of the points (n, 2) [m] that they name, off other texts."""
         size_pt = TEXT_PT if bold else SMALL_PT
-        away_m = size_pt / self.points_per_m
-        aside = np.array([turned(np.array([away_m, away_m]), turn) for turn in TURNS])
-        for at, text in zip(xy, texts, strict=True):
+        for at, text in zip(xy, map(legible, texts), strict=True):
+            half = self._half(text, size_pt)
+            aside = np.sign(AROUND) * half + AROUND * RING / 2 * self.pen_m
             places = np.concatenate([at + far * aside for far in FARTHER])
-            self._write(places, text, size_pt, bold=bold)
+            written = np.reshape(self._written, (-1, 4))
+            off = np.abs(places[:, None] - written[:, :2]) - half - written[:, 2:]
+            over = np.maximum(-off.max(axis=-1), 0.0).sum(axis=1)
+            self._write(places[int(over.argmin())], text, size_pt, bold=bold)
 
     def title(self, top: FloatArray, text: str) -> None:
         """Write a text below a point (2,) [m]."""
-        self._write(top[None] - np.array([0.0, TEXT_PT / self.points_per_m]), text, TEXT_PT)
+        self._write(top - np.array([0.0, TEXT_PT / self.points_per_m]), legible(text), TEXT_PT)
 
-    def _write(self, places: FloatArray, text: str, size_pt: float, *, bold: bool = False) -> None:
-        """Write a text centred at that one of the places (n, 2) which other texts leave freest."""
-        text = legible(text)
-        wide, high = LETTER * (len(text) + 0.5), LINE_PT / TEXT_PT
-        half = np.array([wide, high]) * size_pt / (2 * self.points_per_m)
-        written = np.reshape(self._written, (-1, 4))
-        off = np.abs(places[:, None] - written[:, :2]) - half - written[:, 2:]
-        over = np.maximum(-off.max(axis=-1), 0.0).sum(axis=1)
-        at = places[int(over.argmin())]
-        self._written.append(np.concatenate([at, half]))
-        self._axes.text(
-            *at.tolist(), text, ha="center", va="center", **self._font(size_pt, bold=bold)
-        )
+    def _half(self, text: str, size_pt: float) -> FloatArray:
+        """Half the width and height of a text, about (2,) [m]."""
+        sides_pt = np.array([LETTER * size_pt * len(text), size_pt])
+        return np.asarray(sides_pt / (2 * self.points_per_m))
+
+    def _write(self, at: FloatArray, text: str, size_pt: float, *, bold: bool = False) -> None:
+        """Write a text centred at a point (2,) [m]."""
+        self._written.append(np.concatenate([at, self._half(text, size_pt)]))
+        font = self._font(size_pt, bold=bold)
+        self._axes.text(*at.tolist(), text, ha="center", va="center", **font)
 
     def _font(self, size_pt: float = TEXT_PT, *, bold: bool = False) -> dict[str, Any]:
         return {

@@ -85,26 +85,20 @@ def _junctions_of(canvas: Canvas, m: TopoMap, T: FloatArray) -> None:
         rows = np.flatnonzero(group == degree).tolist()
         colour, pens = canvas.theme[f"degree {degree}"], LARGE if degree >= 3 else MEDIUM
         canvas.dots(
-            xy[rows], Look(colour, pens, tips=[_describe_junction(m, i) for i in rows], key=label)
+            xy[rows], Look(colour, pens, tips=[_describe_vertex(m, i) for i in rows], key=label)
         )
     if len(m) <= MOST_NUMBERED:
         canvas.words(xy, [*map(str, range(len(m)))])
 
 
-def _describe_junction(m: TopoMap, i: int) -> str:
-    sigma = f", ± {m.position_sigma[i]:.2f} m" if m.position_sigma is not None else ""
-    sure = f", confidence {m.confidence[i]:.2f}" if m.confidence[i] < 1 else ""
-    passes = counted(int(m.passes[i]), "pass", "passes")
-    return f"{m.kind[i].replace('_', ' ')} {i}{_describe_size(m, i)}: {passes}{sigma}{sure}"
-
-
-def _describe_size(m: TopoMap, vertex: int) -> str:
-    """How large a room is, and how wide a door."""
-    if m.area_m2 is not None and m.area_m2[vertex] > 0:
-        return f", {m.area_m2[vertex]:.0f} m²"
-    if m.width_m is not None and m.width_m[vertex] > 0:
-        return f", {m.width_m[vertex]:.2f} m wide"
-    return ""
+def _describe_vertex(m: TopoMap, i: int) -> str:
+    """A vertex in a line; of a room its area, of a door its width."""
+    told = f"{m.kind[i].replace('_', ' ')} {i}"
+    for sizes, what in ((m.area_m2, "{:.0f} m²"), (m.width_m, "{:.2f} m wide")):
+        told += f", {what.format(sizes[i])}" if sizes is not None and sizes[i] > 0 else ""
+    told += f": {counted(int(m.passes[i]), 'pass', 'passes')}"
+    told += f", ± {m.position_sigma[i]:.2f} m" if m.position_sigma is not None else ""
+    return told + (f", confidence {m.confidence[i]:.2f}" if m.confidence[i] < 1 else "")
 
 
 def draw_merged(
