@@ -31,9 +31,6 @@ from .sheet import arrange, upright_rad
 from .surface import Look
 from .walls import wall_points, walls_of
 
-FULL_BITS = 6.0
-"""A link of this many bits is drawn widest."""
-
 CONTRADICTIONS = "what speaks against it"
 
 
@@ -107,9 +104,8 @@ def _evidence(
             ink, key = (
                 ("agrees", "link that speaks for it") if good else ("against", CONTRADICTIONS)
             )
-            pens = 1 + SMALL * min(abs(term.bits) / FULL_BITS, 1.0)
             tips = [_describe_term(term, digits)]
-            canvas.lines([at[0][[*term.a]]], Look(theme[ink], pens, tips=tips, key=key))
+            canvas.lines([at[0][[*term.a]]], Look(theme[ink], SMALL, tips=tips, key=key))
     same = [f"junction {u} = junction {v}" for u, v in pairs.tolist()]
     ends = [at[k][pairs[:, k]] for k in (0, 1)]
     canvas.lines([*np.stack(ends, axis=1)], Look(theme["ink"], THIN, tips=same))

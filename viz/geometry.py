@@ -41,6 +41,10 @@ TURNED_MARKERS: Mapping[str, Marker] = MappingProxyType(
 )
 """Its mark, a red one."""
 
+FINEST_M = 0.05
+"""Lines are drawn with as few points as stay within it of the whole line, tracks with no more than
+one on such a way [m]."""
+
 MIN_SIDE_M = 4.0
 """Smallest side of a picture, or of a cell on a sheet: of a map of one junction."""
 

@@ -47,10 +47,10 @@ FUSED, RUNS = "map", "runs"
 def write_merged_recording(path: Path, result: MergeResult, maps: Sequence[TopoMap]) -> None:
     """Write the recording of a merge, `merged.rrd`, atomically.
 
-    maps: of every run in the result, in any order. Raises ValueError if one is missing or two share
-    a name, OSError if the file cannot be written.
+    maps: of every run in the result, in any order. Raises OSError if the file cannot be
+    written.
     """
-    by_name = _by_name(result, maps)
+    by_name = {m.run: with_turning_points(m) for m in maps}
     colours = colours_of(result)
     pen = pen_m(result.fused)
 
@@ -83,18 +83,6 @@ def write_merged_recording(path: Path, result: MergeResult, maps: Sequence[TopoM
         return _blueprint(sheet)
 
     write_recording(path, RECORDING_ID, fill)
-
-
-def _by_name(result: MergeResult, maps: Sequence[TopoMap]) -> dict[str, TopoMap]:
-    """The maps of the runs of a merge, by name; ValueError if one is missing or there twice."""
-    by_name = {m.run: m for m in maps}
-    if len(by_name) < len(maps):
-        raise ValueError("two maps have the same run name")
-    needed = {run for component in result.components for run in component.poses}
-    missing = sorted(needed - set(by_name))
-    if missing:
-        raise ValueError(f"the map of run {missing[0]!r} is missing ({len(missing)} in all)")
-    return {run: with_turning_points(by_name[run]) for run in sorted(needed)}
 
 
 def _blueprint(sheet: list[Cell]) -> rrb.Blueprint:

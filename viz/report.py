@@ -73,7 +73,7 @@ def report_page(report: Report) -> str:
         figures["matrix"] = matrix_figure(result)
     given = (result, runs, report.maps, report.decisions, report.where)
     items = {"runs": page_data(*given, as_merged=report.as_merged)}
-    items |= {name: json_item(figure) for name, figure in figures.items()}
+    items |= {name: dict(json_item(figure)) for name, figure in figures.items()}
     counts = {} if result is None else result.standings()
     library = Resources(mode="inline", components=["bokeh"]).js_raw[0]
     script = _file("report.js")

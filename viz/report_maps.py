@@ -27,7 +27,7 @@ from ..topology.run import Grid
 from ..topology.topomap import TopoMap
 from ..topology.turning_vertices import with_turning_points
 from ..topology.wording import legible
-from .geometry import MARGIN, PENS, usual_m
+from .geometry import FINEST_M, MARGIN, PENS, usual_m
 from .palette import BOTH, MEDIUM, rgb
 from .parts import lay_out, ranks
 from .scene import draw_component, draw_walls
@@ -44,9 +44,6 @@ PICTURE_PX = 700.0
 PEN_PX = 2.0
 """Width of a corridor's line where the map fills its picture; the page draws all marks smaller
 where corridors are short."""
-
-STRAIGHT_M = 0.05
-"""Corridors are drawn with as few points as stay within it of the whole line [m]."""
 
 NUMBERS = "numbers"
 """Of this layer the page shows what has room."""
@@ -209,7 +206,7 @@ def _told(given: dict[str, Any], tips: Sequence[str]) -> ColumnDataSource:
 
 def path_columns(paths: Sequence[FloatArray]) -> tuple[Any, Any]:
     """x and y of each polyline, simplified."""
-    both = [columns(simplify(path, STRAIGHT_M)) for path in paths]
+    both = [columns(simplify(path, FINEST_M)) for path in paths]
     return [x for x, _ in both], [y for _, y in both]
 
 
@@ -241,7 +238,7 @@ def own_map(topomap: TopoMap) -> dict[str, Any]:
     it upright."""
     m = with_turning_points(topomap)
     x, y = columns(m.xy)
-    paths = [columns(simplify(path, STRAIGHT_M)) for path in m.paths]
+    paths = [columns(simplify(path, FINEST_M)) for path in m.paths]
     return {
         "x": x,
         "y": y,
