@@ -19,7 +19,7 @@ from ..topology.run import Detections, Grid, Scanned, ScanPasses
 from ..topology.se2 import apply, compose
 from ..topology.topomap import TopoMap
 from ..topology.turning_vertices import with_turning_points
-from .geometry import MOST_NUMBERED, PENS, bounds, pen_m
+from .geometry import MARGIN, MOST_NUMBERED, PENS, bounds, extent, pen_m
 from .pages import ClosureText, closure_texts, map_page, visits
 from .palette import DARK, LARGE, MEDIUM, RING, SMALL, THIN, Order, rgb
 from .recording import (
@@ -134,12 +134,14 @@ def _drift_view() -> rrb.TimeSeriesView:
         origin="/drift",
         name="Drift [m]",
         axis_x=rrb.TimeAxis(view_range=begin_to_end),
+        plot_legend=rrb.PlotLegend(visible=False),
     )
 
 
 def _map_view(topomap: TopoMap, track: RobotTrack | None) -> rrb.Spatial2DView:
     """The view of the map, with the robot's recent track at the cursor."""
-    low, high = bounds([topomap.xy, *topomap.paths])
+    driven = track.stretches(track.bent) if track is not None else []
+    low, high = bounds([extent(with_turning_points(topomap)), *driven], 2 * MARGIN)
     hidden = rrb.EntityBehavior(visible=False)
     overrides: dict[str, rrb.EntityBehavior | rrb.VisibleTimeRanges] = {
         entity((*MAP, "closures", "refused")): hidden,
@@ -203,7 +205,7 @@ def _junctions(recording: Recording, topomap: TopoMap) -> None:
 def _closures(recording: Recording, topomap: TopoMap, closures: Sequence[ClosureText]) -> None:
     """Write every closure as a line of its own: an accepted one as a ring round its junction, the
     first one innermost; a refused one between the two junctions."""
-    colours = {"accepted": DARK["agrees"], "refused": DARK["against"]}
+    colours = {"accepted": DARK["track"], "refused": DARK["against"]}
     groups: dict[str, list[tuple[ClosureText, FloatArray]]] = {name: [] for name in colours}
     rings: Counter[int] = Counter()
     pen = pen_m(topomap)
