@@ -43,6 +43,7 @@ MARKERS: Mapping[Marker, str] = MappingProxyType(
 """Shapes by the names that matplotlib has for them."""
 
 POINTS_PER_INCH = 72.0
+WIDTH_PT = 720.0
 PEN_PT = 2.0
 """Largest width of a corridor's line, the unit of all marks."""
 
@@ -85,8 +86,8 @@ _XLINK = "http://www.w3.org/1999/xlink"
 class Canvas:
     """A drawing of the rectangle between two corners, `low` and `high`, (2,) each [m].
 
-    width_pt: width of the whole page; usual_m: length of a usual corridor, of which a pen is a
-    small share. What is drawn later lies above. Text may hold any characters: `legible` replaces
+    usual_m: length of a usual corridor, of which a pen is a small share; width_pt: width of the
+    whole page. What is drawn later lies above. Text may hold any characters: `legible` replaces
     unprintable ones, and what is too long is shortened. What is drawn with a `key` is an entry of
     the key below the drawing: a sample of the mark, and this label.
     """
@@ -94,9 +95,9 @@ class Canvas:
     low: FloatArray
     high: FloatArray
     theme: Theme
-    width_pt: float = 720.0
-    name: str = "drawing"
     usual_m: float = inf
+    width_pt: float = WIDTH_PT
+    name: str = "drawing"
     figure: Figure = field(init=False)
     _axes: Any = field(init=False)
     _titles: dict[str, str] = field(init=False, default_factory=dict)

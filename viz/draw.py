@@ -17,7 +17,7 @@ from ..topology.se2 import apply
 from ..topology.topomap import TopoMap
 from ..topology.turning_vertices import with_turning_points
 from ..topology.wording import counted, to_turning_points
-from .canvas import TEXT_PT, Canvas, letters
+from .canvas import TEXT_PT, WIDTH_PT, Canvas, letters
 from .geometry import MOST_NUMBERED, TURNED, bounds, extent, usual_m
 from .pages import describe_corridor, describe_map
 from .palette import LARGE, MEDIUM, THIN, Theme
@@ -29,11 +29,8 @@ from .walls import wall_points, walls_of
 
 NO_MAPS: Mapping[str, TopoMap] = MappingProxyType({})
 
-WIDTH_PT = 720.0
-"""Width of a drawing; of a merge of many sites up to twice as much."""
-
 CELL_PT = WIDTH_PT / 4
-"""A merge's drawing is about this wide for each component across."""
+"""A merge's drawing is about this wide for each component across, up to twice as wide as others."""
 
 MOST_TIMES = 3
 """Corridors driven more often than this are drawn no wider."""
@@ -47,7 +44,7 @@ def draw_map(topomap: TopoMap, theme: Theme) -> Canvas:
     turn, whole = np.array([0.0, 0.0, upright_rad(topomap.paths)]), with_turning_points(topomap)
     seen = wall_points(walls_of([topomap.views], topomap.frame))
     low, high = bounds([apply(turn, np.concatenate([extent(whole), seen]))])
-    canvas = Canvas(low, high, theme, WIDTH_PT, "map", usual_m(whole.length))
+    canvas = Canvas(low, high, theme, usual_m(whole.length), name="map")
     draw_walls(canvas, [topomap.views], turn, theme["wall"])
     _corridors_of(canvas, whole, turn)
     draw_unexplored(canvas, whole, turn, ~driven_branches(whole))
@@ -126,7 +123,8 @@ def draw_merged(
     parts = lay_out(result, {c: np.concatenate(own) for c, own in to_hold.items()}, views)
     cells, rank, free = [part.cell for part in parts], ranks(result), ~driven_branches(fused)
     width_pt = float(np.clip(CELL_PT * np.sqrt(len(parts)), WIDTH_PT, 2 * WIDTH_PT))
-    canvas = sheet_canvas(cells, theme, width_pt, "merged", usual_m(shown.fused.length))
+    corners, usual = bounds([corners_of(cells)]), usual_m(shown.fused.length)
+    canvas = Canvas(*corners, theme, usual, width_pt, name="merged")
     draw_frames(canvas, cells, [part.title for part in parts])
     too_many = sites is not None and shown.fused.junctions > MOST_NUMBERED
     numbers = set() if sites is None else _named(drives, changes) if too_many else None
@@ -185,13 +183,6 @@ def _heading(
     lines = [f"{k}. {'; '.join(d.words)}; {d.way}" for k, d in enumerate(drives or (), 1)]
     lines += [f"{k}. {'; '.join(c.words(names[c.component]))}" for k, c in numbered(changes or ())]
     return [title, size, *lines]
-
-
-def sheet_canvas(
-    cells: Sequence[Cell], theme: Theme, width_pt: float, name: str, usual: float
-) -> Canvas:
-    """An empty drawing of the cells of a sheet. usual: length of a usual corridor [m]."""
-    return Canvas(*bounds([corners_of(cells)]), theme, width_pt, name, usual)
 
 
 def draw_frames(canvas: Canvas, cells: Sequence[Cell], titles: Sequence[str]) -> None:

@@ -23,11 +23,11 @@ from ..topology.se2 import apply, compose
 from ..topology.topomap import TopoMap
 from ..topology.turning_vertices import with_turning_points
 from .canvas import Canvas
-from .draw import WIDTH_PT, draw_frames, sheet_canvas
-from .geometry import MOST_NUMBERED, contradiction_spots, extent, usual_m
+from .draw import draw_frames
+from .geometry import MOST_NUMBERED, bounds, contradiction_spots, extent, usual_m
 from .palette import LARGE, RING, SMALL, THIN, Theme
 from .scene import draw_walls
-from .sheet import arrange, upright_rad
+from .sheet import arrange, corners_of, upright_rad
 from .surface import Look
 from .walls import wall_points, walls_of
 
@@ -47,7 +47,7 @@ def draw_decision(a: TopoMap, b: TopoMap, decision: Decision, theme: Theme) -> C
     turns = upright[:1] * len(pictures) or upright
     cells = arrange(points, turns)
     usual = usual_m(np.concatenate([a.length, b.length]))
-    canvas = sheet_canvas(cells, theme, WIDTH_PT, "pair", usual)
+    canvas = Canvas(*bounds([corners_of(cells)]), theme, usual, name="pair")
     titles = [title for title, *_ in pictures] or [a.run, b.run]
     draw_frames(canvas, cells, titles)
     for (_, placement, T_a_b), cell in zip(pictures, cells, strict=bool(pictures)):

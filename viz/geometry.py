@@ -9,7 +9,6 @@ from typing import Literal
 
 import numpy as np
 
-from ..merge.change import Change
 from ..merge.result import FusedMap
 from ..topology.arrays import BoolArray, FloatArray, IntArray
 from ..topology.polyline import way_of
@@ -105,14 +104,6 @@ def strands(
             aside = apart * (k - (len(runs) - 1) / 2)
             found.setdefault(run, []).append((edge, beside(fused.paths[edge], aside)))
     return dict(sorted(found.items()))
-
-
-def changed_path(fused: FusedMap, edges: IntArray, change: Change) -> FloatArray:
-    """(k, 2) the corridor, of its site's `edges`, that a change is about, or its junction alone."""
-    if change.edge is None:
-        return np.array([change.xy, change.xy])
-    path: FloatArray = fused.paths[edges[change.edge]]
-    return path
 
 
 def thinned(xy: FloatArray, spacing_m: float) -> IntArray:

@@ -153,7 +153,10 @@ def _junctions(recording: Recording, fused: FusedMap, part: Part, pen: float) ->
     several = [len(runs) > 1 for runs in members]
     values = {
         "runs": np.array([len(runs) for runs in members]),
-        "fused_from": [_describe_members(runs) for runs in members],
+        "fused_from": [
+            "; ".join(f"{run}: {', '.join(map(str, own))}" for run, own in sorted(runs.items()))
+            for runs in members
+        ],
         "passes": np.array([len(fused.observations[i]) for i in rows.tolist()]),
     }
     write_junctions(
@@ -161,12 +164,6 @@ def _junctions(recording: Recording, fused: FusedMap, part: Part, pen: float) ->
         colours=[DARK["ink" if own else "single"] for own in several],
         sizes=pen * np.where(several, LARGE, MEDIUM),
         more=values,
-    )
-
-
-def _describe_members(members: Mapping[str, tuple[int, ...]]) -> str:
-    return "; ".join(
-        f"{run}: {', '.join(map(str, vertices))}" for run, vertices in sorted(members.items())
     )
 
 

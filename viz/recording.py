@@ -165,11 +165,11 @@ def _strict() -> Iterator[None]:
         rr.set_strict_mode(before)
 
 
-def placed(T_parent_child: FloatArray) -> rr.Transform3D:
-    """A planar transform for everything below an entity."""
+def placed(T_parent_child: FloatArray, scale: float | None = None) -> rr.Transform3D:
+    """A planar transform for everything below an entity, that may be scaled."""
     x, y, theta = T_parent_child
     turn = rr.RotationAxisAngle([0, 0, 1], radians=float(theta))
-    return rr.Transform3D(translation=[x, y, 0.0], rotation=turn)
+    return rr.Transform3D(translation=[x, y, 0.0], rotation=turn, scale=scale)
 
 
 def _rgbs(colours: Colour | Sequence[Colour]) -> list[tuple[int, int, int]]:
@@ -340,13 +340,8 @@ def write_grid(recording: Recording, path: PathParts, grid: Grid) -> None:
     picture.putpalette([*rgb(DARK.paper), *rgb(DARK["unlit"]), *rgb(DARK["wall"])])
     png = BytesIO()
     picture.convert("RGB").save(png, "PNG")
-    x, y, yaw = grid.origin
     recording.static(
         path,
-        rr.Transform3D(
-            translation=[x, y, 0.0],
-            rotation=rr.RotationAxisAngle([0, 0, 1], radians=yaw),
-            scale=grid.resolution_m * step,
-        ),
+        placed(np.array(grid.origin), grid.resolution_m * step),
         rr.EncodedImage(contents=png.getvalue(), media_type="image/png", draw_order=Order.GRID),
     )

@@ -21,7 +21,6 @@ from .geometry import (
     TURNED,
     TURNED_MARKERS,
     branch_arrows,
-    changed_path,
     strands,
 )
 from .pages import describe_corridor
@@ -108,7 +107,10 @@ def draw_component(
     kinds = [fused.kind[v] for v in part.vertices.tolist()]
     turned = np.array([kind in TURNED for kind in kinds], bool)
     ends = part.vertices[turned]
-    tips = [f"Here {TURNED[fused.kind[v]]} ({_runs(fused, v)})" for v in ends.tolist()]
+    tips = [
+        f"Here {TURNED[fused.kind[v]]} ({listed(sorted(fused.members[v]), MOST_RUNS)})"
+        for v in ends.tolist()
+    ]
     draw_ends(surface, apply(T, fused.xy[ends]), [fused.kind[v] for v in ends.tolist()], tips)
     shared = np.array([len(fused.members[v]) > 1 for v in part.vertices.tolist()], bool)
     for which, ink, pens, key in (
@@ -143,10 +145,20 @@ def _bands(
         ),
     )
     for kind, (ink, key) in CHANGED.items():
-        some = [c for c in changes if c.component == part.component.id and c.kind is kind]
-        paths = [apply(T, changed_path(fused, part.edges, c)) for c in some]
-        tips = [describe_change(c, part.component.name) for c in some]
-        surface.lines(paths, Look(theme.pale(theme[ink]), RING, tips=tips, key=key))
+        some = [
+            (c, c.edge)
+            for c in changes
+            if c.component == part.component.id and c.kind is kind and c.edge is not None
+        ]
+        surface.lines(
+            [apply(T, fused.paths[part.edges[edge]]) for _, edge in some],
+            Look(
+                theme.pale(theme[ink]),
+                RING,
+                tips=[describe_change(c, part.component.name) for c, _ in some],
+                key=key,
+            ),
+        )
 
 
 def _rings(
@@ -186,10 +198,6 @@ def _describe_strand(fused: FusedMap, edge: int, run: str) -> str:
     what = describe_corridor(fused, edge)
     others = sorted({other for other, _ in fused.edge_members[edge]} - {run})
     return f"{what[0].upper()}{what[1:]} by {listed([run, *others], MOST_RUNS)}"
-
-
-def _runs(fused: FusedMap, v: int) -> str:
-    return listed(sorted(fused.members[v]), MOST_RUNS)
 
 
 def _describe_junction(fused: FusedMap, v: int) -> str:
