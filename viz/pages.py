@@ -41,8 +41,8 @@ MERGE_LEGEND = """\
 **Map**: every corridor is a ribbon with one strand for each run that drove it, in the colour of
 its name; junctions seen by several runs are white, others grey. **Red** dots:
 where joined runs contradict each other. Under the map: what the lasers of all runs saw, walls
-**dark grey**, free space a little brighter than what is not known. Short strokes: branches that nobody
-drove. **Runs**: each run's own map, laid into its component.
+**dark grey**, free space a little brighter than what is not known. Short strokes: branches that
+nobody drove. **Runs**: each run's own map, laid into its component.
 
 The verdict on every pair of runs, with its evidence: `topobatch report`.
 
