@@ -6,11 +6,12 @@ placement add up to its evidence, and the evidence is compared with the threshol
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from ..topology.arrays import FloatArray
 from ..topology.digits import BITS, METRES, rounded
+from ..topology.matching.views import Compared
 from .document import (
     bits_to_document,
     pose_to_document,
@@ -41,9 +42,9 @@ class Term:
     """A part of the evidence, in bits, positive if for the placement.
 
     text: in words; a, b: the junctions of the two maps that it concerns, a corridor as its two
-    ends, as far as these runs have them; size_m: for a link its length in a and in b [m].
-    Of the views that speak most for a placement, and most against it, a and b are the junctions
-    nearest to them.
+    ends, as far as these runs have them; size_m: for a link its length in a and in b [m]; seen: of
+    the views that speak most for a placement, and most against it, the walls of both, laid over
+    each other, in the axes of a; a and b are then the junctions nearest to them.
     """
 
     kind: TermKind
@@ -52,6 +53,7 @@ class Term:
     a: tuple[int, ...] = ()
     b: tuple[int, ...] = ()
     size_m: tuple[float, float] | None = None
+    seen: Compared | None = field(default=None, compare=False, repr=False)
 
     @property
     def with_size(self) -> str:

@@ -19,17 +19,22 @@ from ..merge.decision_text import (
 )
 from ..merge.result import shown_bits
 from ..topology.arrays import FloatArray
-from ..topology.se2 import apply, compose
+from ..topology.matching.views import AGREES, CONTRADICTS, SILENT, Compared
+from ..topology.se2 import apply, compose, turned
 from ..topology.topomap import TopoMap
 from ..topology.turning_vertices import with_turning_points
+from ..topology.views import CELL_M, REACH_M
 from .canvas import Canvas
 from .draw import draw_frames
 from .geometry import MOST_NUMBERED, bounds, contradiction_spots, extent, usual_m
 from .palette import LARGE, RING, SMALL, THIN, Theme
-from .scene import draw_walls
-from .sheet import arrange, corners_of, upright_rad
+from .scene import draw_frame, draw_walls
+from .sheet import arrange, corners_of, outline, upright_rad
 from .surface import Look
 from .walls import wall_points, walls_of
+
+TINY_M = 1e-3
+"""Length of the slant line that is drawn for a cell of a wall; an upright one would be snapped."""
 
 CONTRADICTIONS = "what speaks against it"
 
@@ -44,14 +49,22 @@ def draw_decision(a: TopoMap, b: TopoMap, decision: Decision, theme: Theme) -> C
         np.concatenate([extent(m), wall_points(walls_of([m.views], m.frame))]) for m in (a, b)
     )
     points = [np.concatenate([of_a, apply(T_a_b, of_b)]) for *_, T_a_b in pictures] or [of_a, of_b]
-    turns = upright[:1] * len(pictures) or upright
-    cells = arrange(points, turns)
+    wide = min(float(np.ptp(own, axis=0).max()) if len(own) else 0.0 for own in points)
+    larger = max(wide / (4 * REACH_M), 1.0)
+    views = [(t, t.seen) for p in decision.placements[:1] for t in p.of("views") if t.seen]
+    square = outline((-larger * REACH_M,) * 2, (larger * REACH_M,) * 2)
+    points += [turned(square, -upright[0])] * len(views)
+    cells = arrange(points, upright[:1] * len(points) if pictures else upright)
     usual = usual_m(np.concatenate([a.length, b.length]))
     canvas = Canvas(*bounds([corners_of(cells)]), theme, usual, name="pair")
     titles = [title for title, *_ in pictures] or [a.run, b.run]
+    titles += [
+        f"views {'for' if t.bits > 0 else 'against'} it: {t.bits:+.1f} bits" for t, _ in views
+    ]
     draw_frames(canvas, cells, titles)
-    for (_, placement, T_a_b), cell in zip(pictures, cells, strict=bool(pictures)):
+    for (_, placement, T_a_b), cell in zip(pictures, cells, strict=False):
         poses = (cell.T_sheet_map, compose(cell.T_sheet_map, T_a_b))
+        draw_frame(canvas, cell)
         _own_maps(canvas, (a, b), poses)
         if placement is not None:
             at = (apply(poses[0], a.xy), apply(poses[1], b.xy))
@@ -59,6 +72,8 @@ def draw_decision(a: TopoMap, b: TopoMap, decision: Decision, theme: Theme) -> C
             _numbers(canvas, placement, (a, b), at)
     if not pictures:
         _own_maps(canvas, (a, b), [cell.T_sheet_map for cell in cells])
+    for (_, seen), cell in zip(views, cells[len(pictures) :], strict=bool(views)):
+        _seen(canvas, seen, cell.T_sheet_map, larger)
     heading = [headline(decision), because(decision), advice(decision)]
     canvas.finish([*heading, *(f"Note: {note}" for note in decision.notes)])
     return canvas
@@ -117,6 +132,24 @@ def _evidence(
     for spot, words in contradiction_spots(against, *at):
         colour, key = theme["against"], CONTRADICTIONS
         canvas.dots(spot[None], Look(colour, RING, ring=True, tips=[words], key=key))
+
+
+def _seen(canvas: Canvas, seen: Compared, T: FloatArray, larger: float) -> None:
+    """Draw the walls of two views over each other, those of a wider; what contradicts last.
+    larger: how much larger than in the map."""
+    theme, xy = canvas.theme, apply(T, larger * seen.xy)
+    for kind in (SILENT, AGREES, CONTRADICTS):
+        for run in (0, 1):
+            own = xy[(seen.kind == kind) & (seen.of_second == run)]
+            ink = theme["against"] if kind == CONTRADICTS else theme.run(run)
+            canvas.lines(
+                [*np.stack([own - TINY_M, own], axis=1)],
+                Look(
+                    theme.pale(ink) if kind == SILENT else ink,
+                    larger * CELL_M / canvas.pen_m / (1 + run),
+                    key=CONTRADICTIONS if kind == CONTRADICTS else "",
+                ),
+            )
 
 
 def _numbers(

@@ -16,7 +16,8 @@ import numpy as np
 
 from ...topology.arrays import FloatArray
 from ...topology.digits import BITS, rounded
-from ...topology.se2 import between
+from ...topology.matching.views import compare
+from ...topology.se2 import between, turned
 from ...topology.topomap import TopoMap
 from ...topology.wording import counted
 from ..decision import Decision, Placement, Requirement, Term
@@ -273,7 +274,9 @@ def _view_terms(a: Prepared, b: Prepared, c: Candidate) -> Iterator[Term]:
         first, second = int(c.views.first[row]), int(c.views.second[row])
         near_a = int(np.abs(a.z - seen_a.place[first]).argmin())
         near_b = int(np.abs(b.z - seen_b.place[second]).argmin())
-        yield replace(term, a=(near_a,), b=(near_b,))
+        comparison = compare(seen_a.index, seen_b.index, (first, second), c.views.transform[row])
+        comparison = replace(comparison, xy=turned(comparison.xy, seen_a.pose[first, 2]))
+        yield replace(term, a=(near_a,), b=(near_b,), seen=comparison)
 
 
 def _conflict_terms(a: Prepared, b: Prepared, c: Candidate) -> Iterator[Term]:

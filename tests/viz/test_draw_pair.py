@@ -9,6 +9,7 @@ from topobatch.merge.decision import (
     Term,
 )
 from topobatch.merge.result import Alignment, PairVerdict, Verdict
+from topobatch.topology.matching.views import AGREES, CONTRADICTS, SILENT, Compared
 from topobatch.viz.draw_pair import draw_decision
 from topobatch.viz.palette import LIGHT
 
@@ -65,6 +66,34 @@ def test_junctions_that_are_not_matched_have_numbers_too(make_map) -> None:
     told = decision(Verdict.AMBIGUOUS, [placement(9.0, EVERY[:3]), placement(8.0, EVERY[:3])])
     texts, _ = seen(draw_decision(make_map("a"), make_map("b", (1.0, 2.0, 0.4)), told, LIGHT))
     assert [texts.count(str(k)) for k in range(5)] == [2, 2, 2, 4, 4]  # on two pictures
+
+
+def compared(kind: int) -> Compared:
+    """Four walls of a and two of b, these of one kind."""
+    xy = np.array([(x, 1.0) for x in (0, 1, 2, 3, 0, 1)], float)
+    of_second = np.arange(6) > 3
+    return Compared(xy, of_second, np.where(of_second, kind, SILENT))
+
+
+def with_views(placed: Placement) -> Placement:
+    terms = (
+        Term("views", 3.0, "1 pair of views", (1,), (1,), seen=compared(AGREES)),
+        Term("views", -2.5, "1 pair of views", (2,), (2,), seen=compared(CONTRADICTS)),
+        Term("views", -0.5, "2 pairs of views"),
+    )
+    return replace(placed, terms=(*placed.terms, *terms))
+
+
+def test_views_that_speak_most_for_and_against_are_laid_over_each_other(make_map) -> None:
+    a, b = make_map("a"), make_map("b", (1.0, 2.0, 0.4))
+    shown = decision(Verdict.MERGED, [with_views(placement(30.0))])
+    canvas = draw_decision(a, b, shown, LIGHT)
+    texts, _ = seen(canvas)
+    assert {"views for it: +3.0 bits", "views against it: -2.5 bits"} <= set(texts)
+    svg = canvas.as_bytes("svg").decode()
+    assert LIGHT.pale(LIGHT.run(0)) in svg  # walls of a that say nothing
+    texts, _ = seen(draw_decision(a, b, decision(Verdict.MERGED, [placement(30.0)]), LIGHT))
+    assert not [text for text in texts if text.startswith("views")]
 
 
 def test_a_pair_that_nothing_places_is_drawn_apart(make_map) -> None:

@@ -374,6 +374,34 @@ def _kinds(
     return np.where(inside & is_point, looked_up, np.uint8(SILENT))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Compared:
+    """The wall cells of two views laid over each other.
+
+    xy: (k, 2) their centres [m], in the frame of the first view; of_second: (k,) whether each is of
+    the second view; kind: (k,) `SILENT`, `AGREES` or `CONTRADICTS`.
+    """
+
+    xy: FloatArray
+    of_second: NDArray[np.bool_]
+    kind: NDArray[np.uint8]
+
+
+def compare(a: ViewIndex, b: ViewIndex, rows: tuple[int, int], transform: FloatArray) -> Compared:
+    """The wall cells of views `rows` of a and b, laid over each other by a transform (3,)."""
+    i, j = rows
+    shift, rotation = complex(transform[0], transform[1]), np.exp(1j * transform[2])
+    wall_a, wall_b = a.points[i, a.is_point[i]], rotation * b.points[j, b.is_point[j]] + shift
+    wall_a_in_b = np.conj(rotation) * (wall_a - shift)
+    kinds = [
+        _kinds(kind, np.array([row]), z[None], np.ones((1, len(z)), bool))[0]
+        for kind, row, z in ((b.kind, j, wall_a_in_b), (a.kind, i, wall_b))
+    ]
+    points = np.concatenate([wall_a, wall_b])
+    of_second = np.arange(len(points)) >= len(wall_a)
+    return Compared(np.column_stack([points.real, points.imag]), of_second, np.concatenate(kinds))
+
+
 SIGMA_M = 0.1
 """1 sigma of the distance of a wall cell: half a cell."""
 CORRELATED = 10

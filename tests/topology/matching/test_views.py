@@ -7,13 +7,17 @@ import pytest
 
 from topobatch.topology.matching.likelihood import BIT
 from topobatch.topology.matching.views import (
+    AGREES,
+    CONTRADICTS,
+    SILENT,
     TURN_RAD,
     ViewIndex,
     ViewNull,
     _cells,
+    compare,
     register,
 )
-from topobatch.topology.se2 import between, wrap
+from topobatch.topology.se2 import apply, between, wrap
 from topobatch.topology.views import REACH_M
 
 from ..floors import floor, views_at
@@ -80,6 +84,23 @@ def test_odds_are_measured_against_other_places_of_the_same_run():
     # Better than usual counts as usual, and nothing counts without bound.
     assert plain.odds(z)[2] == plain.odds(z)[3] <= 9 * BIT
     assert plain.odds(np.array([-5.0]))[0] >= -5 * BIT
+
+
+def test_walls_of_two_views_are_told_apart():
+    wall = floor(1)
+    shut = wall.copy()
+    shut[280:284, 290:330] = True  # a wall that only the second view saw
+    one, other = np.array([30.0, 30.0, 0.3]), np.array([30.5, 29.6, -0.4])
+    a, b = ViewIndex.of(views_at(wall, [one])), ViewIndex.of(views_at(shut, [other]))
+    seen = compare(a, b, (0, 0), between(one, other))
+    there = apply(one, seen.xy)
+    known = views_at(wall, [one]).cells[0] == 2
+    assert (~seen.of_second).sum() == known.sum()
+    assert set(seen.kind[~seen.of_second]) <= {SILENT, AGREES}
+    new = np.abs(there - (31.0, 28.2)) < (2.2, 0.5)
+    against = (seen.kind == CONTRADICTS) & seen.of_second
+    assert against.sum() > 10
+    assert new.all(axis=1)[against].all()
 
 
 def test_points_at_the_very_rim_are_outside():
