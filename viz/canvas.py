@@ -6,6 +6,7 @@ matplotlib is imported by this module. Sizes on the page are in points (1/72 inc
 from __future__ import annotations
 
 import io
+import re
 import warnings
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Mapping, Sequence
@@ -18,11 +19,12 @@ from typing import Any, Literal
 
 import numpy as np
 from matplotlib import rc_context, rcdefaults, rcParams
-from matplotlib.collections import LineCollection
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
 from matplotlib.lines import Line2D
+from matplotlib.patches import PathPatch
+from matplotlib.path import Path
 from matplotlib.ticker import MaxNLocator
 from matplotlib.transforms import ScaledTranslation
 from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
@@ -140,11 +142,12 @@ class Canvas:
     def lines(self, paths: Sequence[FloatArray], look: Look) -> None:
         """Draw polylines, (k, 2) each [m], with tooltips in an SVG."""
         for rows, own in self._told_apart(len(paths), look.tips):
-            self._note(look.key, _line(look.colour, PEN_PT * min(look.pens, MEDIUM)))
-            drawn = LineCollection(
-                [paths[k] for k in rows],
-                colors=look.colour,
-                linewidths=look.pens * self._pen_pt,
+            self._note(look.key, _line(look.colour, PEN_PT * min(max(look.pens, 1.0), MEDIUM)))
+            drawn = PathPatch(
+                Path.make_compound_path(*(Path(paths[k]) for k in rows)),
+                facecolor="none",
+                edgecolor=look.colour,
+                linewidth=look.pens * self._pen_pt,
                 capstyle="round",
                 joinstyle="round",
             )
@@ -330,13 +333,17 @@ class Canvas:
         return out.getvalue() if form == "png" else self._tidied(out.getvalue())
 
     def _tidied(self, svg: bytes) -> bytes:
-        """The SVG with tooltips."""
+        """The SVG with tooltips, its numbers rounded to two decimals, without indentation."""
         ET.register_namespace("", _SVG)
         ET.register_namespace("xlink", _XLINK)
         root = ET.fromstring(svg)
         for about in root.findall(f"{{{_SVG}}}metadata"):
             root.remove(about)
         for node in root.iter():
+            node.text, node.tail = ((text or "").strip() for text in (node.text, node.tail))
+            for name in _NUMBERS & node.attrib.keys():
+                numbers = _NUMBER.sub(_two_decimals, " ".join(node.attrib[name].split()))
+                node.set(name, numbers)
             tip = self._titles.get(node.get("id", ""))
             if tip is not None:
                 title = ET.Element(f"{{{_SVG}}}title")
@@ -344,6 +351,15 @@ class Canvas:
                 node.insert(0, title)
         text: bytes = ET.tostring(root, encoding="utf-8", xml_declaration=True)
         return text + b"\n"
+
+
+_NUMBERS = {"d", "x", "y", "transform", "width", "height", "viewBox"}
+"""SVG attributes whose numbers are rounded."""
+_NUMBER = re.compile(r"-?\d+\.\d+")
+
+
+def _two_decimals(found: re.Match[str]) -> str:
+    return f"{float(found[0]) + 0.0:.2f}".rstrip("0").rstrip(".")
 
 
 @contextmanager

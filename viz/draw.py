@@ -22,7 +22,7 @@ from .geometry import MOST_NUMBERED, TURNED, bounds, extent, usual_m
 from .pages import describe_corridor, describe_map
 from .palette import LARGE, MEDIUM, THIN, Theme
 from .parts import Part, lay_out, ranks
-from .scene import draw_component, draw_ends, draw_unexplored, draw_walls
+from .scene import draw_component, draw_ends, draw_frame, draw_unexplored, draw_walls
 from .sheet import Cell, corners_of, outline, upright_rad
 from .surface import Look
 from .walls import wall_points, walls_of
@@ -52,6 +52,7 @@ def draw_map(topomap: TopoMap, theme: Theme) -> Canvas:
     away = zip(points.kind, points.length.tolist(), points.vertex.tolist(), strict=True)
     tips = [f"{TURNED[kind]}, {way:.2f} m from junction {v}" for kind, way, v in away]
     draw_ends(canvas, apply(turn, points.xy), points.kind, tips)
+    draw_frame(canvas, Cell(turn, low, high))
     _junctions_of(canvas, topomap, turn)
     canvas.finish([topomap.run, f"{describe_map(topomap)}{_turned_by(turn)}"])
     return canvas
@@ -134,6 +135,7 @@ def draw_merged(
         draw_component(
             *(canvas, fused, part, rank, free),
             several=several,
+            told=sites is not None,
             numbers=numbers,
             drives=drives,
             changes=changes or (),

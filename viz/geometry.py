@@ -23,7 +23,7 @@ MOST_NUMBERED = 150
 """Up to this many junctions their numbers are always shown; above, only for the one pointed at."""
 
 WIDEST_RIBBON = 4
-"""Largest width of a ribbon, in pens; of more runs the strands lie partly over each other."""
+"""Largest width of a ribbon, in pens; of more runs the strands are thinner."""
 
 PENS = 10
 """A corridor of usual length is drawn at least so many pens long."""
@@ -92,17 +92,17 @@ def beside(path: FloatArray, offset_m: float) -> FloatArray:
 
 def strands(
     fused: FusedMap, edges: IntArray, pen: float
-) -> dict[str, list[tuple[int, FloatArray]]]:
-    """The given fused corridors as parallel lines, one for each run that drove them: for each run
-    the corridors and its lines (k, 2), a `pen` [m] apart, or closer where there are more than
-    WIDEST_RIBBON runs."""
-    found: dict[str, list[tuple[int, FloatArray]]] = {}
+) -> dict[tuple[str, float], dict[int, FloatArray]]:
+    """The given fused corridors as parallel lines (k, 2), one for each run that drove them, by run
+    and width in pens: 1, or less where there are more than WIDEST_RIBBON runs. pen: width of a
+    corridor's line [m]."""
+    found: dict[tuple[str, float], dict[int, FloatArray]] = {}
     for edge in edges.tolist():
         runs = sorted({run for run, _ in fused.edge_members[edge]})
-        apart = pen * min(1.0, WIDEST_RIBBON / max(len(runs), 1))
+        pens = min(1.0, WIDEST_RIBBON / max(len(runs), 1))
         for k, run in enumerate(runs):
-            aside = apart * (k - (len(runs) - 1) / 2)
-            found.setdefault(run, []).append((edge, beside(fused.paths[edge], aside)))
+            aside = pens * pen * (k - (len(runs) - 1) / 2)
+            found.setdefault((run, pens), {})[edge] = beside(fused.paths[edge], aside)
     return dict(sorted(found.items()))
 
 

@@ -176,7 +176,7 @@ def _corridors(recording: Recording, topomap: TopoMap) -> None:
     shades = [DARK[SHADES[k - 1]] for k in times.tolist()]
     lines = dict(enumerate(topomap.paths))
     path, pen = (*MAP, "corridors"), pen_m(topomap)
-    write_corridors(recording, path, topomap, lines, colours=shades, pen=pen)
+    write_corridors(recording, path, topomap, lines, colours=shades, pens=pen)
 
 
 def _junctions(recording: Recording, topomap: TopoMap) -> None:

@@ -136,12 +136,17 @@ def _ribbons(
     recording: Recording, fused: FusedMap, part: Part, colours: Mapping[str, Colour], pen: float
 ) -> None:
     """Write each corridor as parallel lines of the runs that drove it."""
-    for run, own in strands(fused, part.edges, pen).items():
-        drove = [", ".join(sorted({who for who, _ in fused.edge_members[e]})) for e, _ in own]
+    of_run: dict[str, dict[int, FloatArray]] = {}
+    widths: dict[str, list[float]] = {}
+    for (run, pens), own in strands(fused, part.edges, pen).items():
+        of_run.setdefault(run, {}).update(own)
+        widths.setdefault(run, []).extend([pens * pen] * len(own))
+    for run, own in of_run.items():
+        drove = [", ".join(sorted({who for who, _ in fused.edge_members[e]})) for e in own]
         write_corridors(
-            *(recording, (FUSED, part.name, "corridors", run), fused, dict(own)),
+            *(recording, (FUSED, part.name, "corridors", run), fused, own),
             colours=colours[run],
-            pen=pen,
+            pens=widths[run],
             more={"driven_by": drove},
         )
 
@@ -195,5 +200,5 @@ def _contradictions(
 def _own_map(recording: Recording, path: PathParts, m: TopoMap, colour: Colour, pen: float) -> None:
     """Write a run's own map below its entity path, in its own frame and in one colour."""
     lines, rows = dict(enumerate(m.paths)), np.arange(len(m))
-    write_corridors(recording, (*path, "corridors"), m, lines, colours=colour, pen=pen)
+    write_corridors(recording, (*path, "corridors"), m, lines, colours=colour, pens=pen)
     write_junctions(*(recording, (*path, "junctions"), m, rows), colours=colour, sizes=SMALL * pen)

@@ -246,11 +246,11 @@ def write_corridors(
     lines: Mapping[int, FloatArray],
     *,
     colours: Colour | Sequence[Colour],
-    pen: float,
+    pens: float | Sequence[float],
     more: Mapping[str, Any] = NOTHING,
 ) -> None:
     """Write corridors with their attributes and `more`; no entity without any. lines: of each its
-    polyline (k, 2), by its number; pen: width of a line [m]."""
+    polyline (k, 2), by its number; pens: width of all lines or of each [m]."""
     if not lines:
         return
     edges = np.array([*lines])
@@ -263,7 +263,9 @@ def write_corridors(
         "traversals": graph.traversals[edges],
     }
     shown = [*lines.values()]
-    recording.lines(path, shown, Order.CORRIDOR, colours, {**values, **more}, radii=pen / 2)
+    recording.lines(
+        path, shown, Order.CORRIDOR, colours, {**values, **more}, radii=np.divide(pens, 2)
+    )
 
 
 def write_junctions(

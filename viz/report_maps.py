@@ -28,7 +28,7 @@ from ..topology.topomap import TopoMap
 from ..topology.turning_vertices import with_turning_points
 from ..topology.wording import legible
 from .geometry import FINEST_M, MARGIN, PENS, usual_m
-from .palette import BOTH, MEDIUM, rgb
+from .palette import BOTH, MEDIUM, THIN, rgb
 from .parts import lay_out, ranks
 from .scene import draw_component, draw_walls
 from .sheet import upright_rad
@@ -68,6 +68,7 @@ def site_map(
     draw_component(
         *(surface, fused, part, ranks(result), ~driven_branches(fused)),
         several=1,
+        told=True,
         numbers=None,
         drives=drives,
         changes=[c for c in changes if c.sure],
@@ -146,7 +147,7 @@ class SiteFigure:
             "ys",
             source=_told({"xs": x, "ys": y}, look.tips),
             line_color=look.colour,
-            line_width=look.pens * PEN_PX,
+            line_width=max(look.pens, THIN) * PEN_PX,
             line_cap="round",
             line_join="round",
             name=look.key or None,

@@ -18,14 +18,16 @@ from ..topology.topomap import Graph
 from ..topology.views import Views
 from ..topology.wording import counted, listed
 from .geometry import (
+    PENS,
     TURNED,
     TURNED_MARKERS,
     branch_arrows,
     strands,
 )
 from .pages import describe_corridor
-from .palette import LARGE, MEDIUM, RING
+from .palette import LARGE, MEDIUM, RING, THIN
 from .parts import Part
+from .sheet import Cell
 from .surface import Look, Surface
 from .walls import FINE_M, walls_of
 
@@ -67,8 +69,19 @@ def draw_ends(surface: Surface, xy: FloatArray, kinds: Sequence[str], tips: Sequ
     colour = surface.theme["degree 1"]
     for kind, marker in TURNED_MARKERS.items():
         rows = [k for k, own in enumerate(kinds) if own == kind]
-        own_tips = [tips[k] for k in rows]
+        own_tips = [tips[k] for k in rows] if len(tips) else []
         surface.dots(xy[rows], Look(colour, MEDIUM, tips=own_tips, marker=marker, key=TURNED[kind]))
+
+
+def draw_frame(surface: Surface, cell: Cell) -> None:
+    """Draw the axes of a map's frame at its origin, where that lies in its cell."""
+    T = cell.T_sheet_map
+    if not np.all((cell.low < T[:2]) & (T[:2] < cell.high)):
+        return
+    reach = PENS * surface.pen_m * np.array([(1.0, 0.0), (0.0, 1.0)])
+    axes = [apply(T, np.stack([np.zeros(2), tip])) for tip in reach]
+    surface.lines(axes, Look(surface.theme["ink"], THIN, key="axes of the frame, at its origin"))
+    surface.words(apply(T, reach), ["x", "y"])
 
 
 def draw_component(
@@ -79,6 +92,7 @@ def draw_component(
     free: BoolArray,
     *,
     several: int,
+    told: bool,
     numbers: Collection[int] | None,
     drives: Sequence[Drive] | None,
     changes: Sequence[Change],
@@ -87,18 +101,20 @@ def draw_component(
 
     rank: of runs, for their colours; free: branches that nobody drove (total branches,), drawn
     where there is a list of drives; several: how many components of several runs are drawn;
+    told: whether each strand and junction says what it is, not only whose strands these are;
     numbers: junctions to be numbered, all by default.
     """
     T, theme = part.cell.T_sheet_map, surface.theme
     _bands(surface, fused, part, drives or (), changes)
     alone = len(part.component.poses) == 1
-    for run, own in strands(fused, part.edges, surface.pen_m).items():
+    for (run, pens), own in strands(fused, part.edges, surface.pen_m).items():
         key = run if several == 1 else f"{part.component.name}: {run}"
         surface.lines(
-            [apply(T, path) for _, path in own],
+            [apply(T, path) for path in own.values()],
             Look(
                 theme["single"] if alone else theme.run(rank[run]),
-                tips=[_describe_strand(fused, edge, run) for edge, _ in own],
+                pens,
+                tips=[_describe_strand(fused, edge, run) for edge in own] if told else [run],
                 key="run that is merged with none" if alone else key,
             ),
         )
@@ -109,7 +125,7 @@ def draw_component(
     ends = part.vertices[turned]
     tips = [
         f"Here {TURNED[fused.kind[v]]} ({listed(sorted(fused.members[v]), MOST_RUNS)})"
-        for v in ends.tolist()
+        for v in (ends.tolist() if told else [])
     ]
     draw_ends(surface, apply(T, fused.xy[ends]), [fused.kind[v] for v in ends.tolist()], tips)
     shared = np.array([len(fused.members[v]) > 1 for v in part.vertices.tolist()], bool)
@@ -118,9 +134,10 @@ def draw_component(
         (shared, "ink", LARGE, "junction seen by several runs"),
     ):
         rows = part.vertices[which & ~turned]
-        tips = [_describe_junction(fused, v) for v in rows.tolist()]
+        tips = [_describe_junction(fused, v) for v in rows.tolist()] if told else []
         surface.dots(apply(T, fused.xy[rows]), Look(theme[ink], pens, tips=tips, key=key))
     _rings(surface, part, drives or (), changes)
+    draw_frame(surface, part.cell)
     named = [v for v in part.vertices[~turned].tolist() if numbers is None or v in numbers]
     surface.words(apply(T, fused.xy[named]), [*map(str, named)])
 
