@@ -76,9 +76,11 @@ def ranks(result: MergeResult) -> dict[str, int]:
     return {run: k for c in result.components for k, run in enumerate(sorted(c.poses))}
 
 
-def colours_of(result: MergeResult) -> dict[str, palette.Colour]:
-    """The viewer's colour of each run; runs that merged with none are grey."""
-    rank, theme = ranks(result), palette.DARK
+def colours_of(
+    result: MergeResult, theme: palette.Theme = palette.DARK
+) -> dict[str, palette.Colour]:
+    """The colour of each run, the viewer's by default; runs that merged with none are grey."""
+    rank = ranks(result)
     return {
         run: theme.run(rank[run]) if len(c.poses) > 1 else theme["single"]
         for c in result.components

@@ -28,9 +28,11 @@ from ..topology.made_from import describe_junctions
 from ..topology.topomap import TopoMap
 from ..topology.wording import counted, legible, listed, to_turning_points, utc
 from .pages import minutes
-from .parts import in_order, runs_in_order
+from .palette import BOTH
+from .parts import colours_of, in_order, runs_in_order
 from .report_maps import site_map
 from .report_pairs import STANDING_COLOURS, matrix_figure, page_data, pair_figure
+from .report_time import time_line
 from .scene import describe_change
 from .sheet import upright_rad
 
@@ -74,6 +76,9 @@ def report_page(report: Report) -> str:
     given = (result, runs, report.maps, report.decisions, report.where)
     items = {"runs": page_data(*given, as_merged=report.as_merged)}
     items |= {name: dict(json_item(figure)) for name, figure in figures.items()}
+    colours = dict.fromkeys(runs, BOTH["single"])
+    if result is not None:
+        colours |= colours_of(result, BOTH)
     counts = {} if result is None else result.standings()
     library = Resources(mode="inline", components=["bokeh"]).js_raw[0]
     script = _file("report.js")
@@ -91,6 +96,8 @@ def report_page(report: Report) -> str:
         legend=[(STANDING_COLOURS[s], str(s), n) for s, n in counts.items() if n],
         need=result and result.threshold_bits and shown_bits(result.threshold_bits),
         runs=runs,
+        time=time_line(runs, report.maps, colours),
+        timeless=sum(len(m.observation_time_ns) == 0 for m in report.maps.values()),
         health=_health(report, runs),
         locks=report.locks,
         versions=", ".join(f"{name} {version}" for name, version in report.versions),

@@ -192,7 +192,7 @@ def test_a_site_has_layers_and_says_what_is_clicked(merge_of) -> None:
     )
     (gone,) = layers["gone, with its number in the list"]
     assert gone["told"][0].startswith("Gone: corridor")
-    assert {t for d in layers["numbers"] for t in d["text"]} == {*"01234", "12", "drive 1"}
+    assert {t for d in layers["numbers"] for t in d["text"]} == {*"01234", *"xy", "12", "drive 1"}
     assert "data-site-1" not in page.scripts  # it stands alone: its run's own map is there
 
 
@@ -234,6 +234,23 @@ def test_a_pair_is_opened_in_the_order_of_its_verdict_whichever_site_comes_first
     assert names == ["b", "c", "a"]
     pairs = {(names[p["i"]], names[p["j"]]) for p in data["pairs"]}
     assert pairs == {(pair.a, pair.b) for pair in result.verdicts}
+
+
+def test_a_time_line_of_two_decades_shows_the_runs_of_either(merge_of) -> None:
+    result, maps = merge_of([["a", "b"], ["c"]])
+    old = [replace(m, observation_time_ns=m.observation_time_ns + 10**18) for m in maps[:1]]
+    page = page_of(result, [*old, *maps[1:]])
+    wide = [float(share) for share in re.findall(r"left:[\d.]+%;width:([\d.]+)%", page)]
+    assert len(wide) == 3
+    assert min(wide) > 10
+
+
+def test_the_time_line_says_which_maps_it_lacks(merge_of) -> None:
+    result, (first, *others) = merge_of([["a", "b"], ["c"]])
+    none = np.zeros(0, np.int64)
+    grid = replace(first, observation_time_ns=none, observation_vertex=none)
+    assert "Without a time: 1 saved map." in Page(page_of(result, [grid, *others])).text
+    assert "Without a time" not in Page(page_of(result, [first, *others])).text
 
 
 def test_where_no_drive_is_worth_it_the_page_says_what_nobody_drove(merge_of) -> None:
