@@ -398,3 +398,8 @@ def _line(
     room = width - len(left) - len(right)
     text = text if whole or len(text) <= room else f"{text[: room - 1]}…"
     return f"{left}{text:<{room}}{right}".rstrip()
+
+
+def named_views(term: Term) -> str:
+    """The title of a picture of two views."""
+    return f"views {'for' if term.bits > 0 else 'against'} it: {term.bits:+.1f} bits"

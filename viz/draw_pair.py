@@ -15,6 +15,7 @@ from ..merge.decision_text import (
     headline,
     itemised,
     listed,
+    named_views,
     other_name,
 )
 from ..merge.result import shown_bits
@@ -58,9 +59,7 @@ def draw_decision(a: TopoMap, b: TopoMap, decision: Decision, theme: Theme) -> C
     usual = usual_m(np.concatenate([a.length, b.length]))
     canvas = Canvas(*bounds([corners_of(cells)]), theme, usual, name="pair")
     titles = [title for title, *_ in pictures] or [a.run, b.run]
-    titles += [
-        f"views {'for' if t.bits > 0 else 'against'} it: {t.bits:+.1f} bits" for t, _ in views
-    ]
+    titles += [named_views(t) for t, _ in views]
     draw_frames(canvas, cells, titles)
     for (_, placement, T_a_b), cell in zip(pictures, cells, strict=False):
         poses = (cell.T_sheet_map, compose(cell.T_sheet_map, T_a_b))

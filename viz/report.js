@@ -245,6 +245,11 @@ async function open(i, j) {
     const at = placed[k], drawn = alone ? k === 0 && a.map : at && a.map && b.map;
     figure.hidden = !drawn;
     find(".copy", figure).replaceChildren();
+    find(".views", figure).replaceChildren(...(at?.views ?? []).map(([words, src]) => {
+      const view = made("div", words);
+      view.prepend(made("img", "", {src, alt: ""}));
+      return view;
+    }));
     if (!drawn) continue;
     find("figcaption", figure).replaceChildren();
     if (!alone) {

@@ -15,6 +15,7 @@ import numpy as np
 from bokeh.models import ColumnDataSource, Range1d, WheelZoomTool
 from bokeh.models.annotations.legends import ScaleBar
 from bokeh.plotting import figure
+from numpy.typing import NDArray
 from PIL import Image
 
 from ..merge.change import Change
@@ -186,18 +187,22 @@ class SiteFigure:
         """Draw cells, as a picture; as of `Surface`."""
         pixels = np.zeros((*grid.free.shape, 4), np.uint8)
         pixels[~grid.free & ~grid.unknown] = (*rgb(look.colour), round(255 * alpha))
-        out = io.BytesIO()
-        Image.fromarray(pixels[::-1]).quantize(2).save(out, "PNG", optimize=True)
-        url = "data:image/png;base64," + b64encode(out.getvalue()).decode()
         high, wide = (count * grid.resolution_m for count in grid.free.shape)
         place = {"x": [grid.origin[0]], "y": [grid.origin[1]], "w": [wide], "h": [high]}
         self.plot.image_url(
             url="url",
-            source=ColumnDataSource({"url": [url], **place}),
+            source=ColumnDataSource({"url": [picture(pixels)], **place}),
             **{name: name for name in place},
             anchor="bottom_left",
             name=look.key,
         )
+
+
+def picture(pixels: NDArray[np.uint8]) -> str:
+    """The address of a picture within the page. pixels: (h, w, 4), row 0 below, of few colours."""
+    out = io.BytesIO()
+    Image.fromarray(pixels[::-1]).quantize(8).save(out, "PNG", optimize=True)
+    return "data:image/png;base64," + b64encode(out.getvalue()).decode()
 
 
 def _told(given: dict[str, Any], tips: Sequence[str]) -> ColumnDataSource:

@@ -4,19 +4,33 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Mapping, Sequence
+from itertools import product
 from typing import Any
 
 import numpy as np
 from bokeh.models import ColumnDataSource, FixedTicker, LinearColorMapper
 
 from ..merge.decision import LINKS, Decision, Placement
-from ..merge.decision_text import advice, because, digits_of, itemised, needs, rows, short
+from ..merge.decision_text import (
+    advice,
+    because,
+    digits_of,
+    itemised,
+    named_views,
+    needs,
+    rows,
+    short,
+)
 from ..merge.result import Alignment, MergeResult, PairVerdict, Standing, home_of, shown_bits
+from ..topology.matching.views import AGREES, CONTRADICTS, SILENT, Compared
+from ..topology.se2 import turned
 from ..topology.topomap import TopoMap
+from ..topology.views import CELL_M
 from ..topology.wording import legible
-from .palette import BOTH, RING, SMALL, THIN
+from .palette import BOTH, RING, SMALL, THIN, rgb
 from .parts import CLASS, runs_in_order, spans_of, strongest, verdict_matrix
-from .report_maps import CHOSEN, PEN_PX, blank_figure, map_figure, own_map, write_beside
+from .report_maps import CHOSEN, PEN_PX, blank_figure, map_figure, own_map, picture, write_beside
+from .sheet import upright_rad
 
 FAINT = "50"
 """The opacity, in hexadecimal, of what lies under other marks or says little."""
@@ -176,6 +190,23 @@ def _opened(
     return out
 
 
+def _seen(seen: Compared, turn_rad: float) -> str:
+    """A picture of the walls of two views over each other, turned: those of a twice as wide, faint
+    where nothing is known of them in the other view; what contradicts last."""
+    xy = turned(seen.xy, turn_rad)
+    reach = np.abs(xy).max(initial=0.0) + CELL_M
+    at = np.floor((xy + reach) / (CELL_M / 2)).astype(np.int64)
+    pixels = np.zeros((*(2 * [at.max(initial=0) + 2]), 4), np.uint8)
+    for kind in (SILENT, AGREES, CONTRADICTS):
+        for run in (0, 1):
+            ink = BOTH["against"] if kind == CONTRADICTS else BOTH.run(run)
+            alpha = int(FAINT, 16) if kind == SILENT else 255
+            x, y = at[(seen.kind == kind) & (seen.of_second == run)].T
+            for right, up in product(range(2 - run), repeat=2):
+                pixels[y + up, x + right] = (*rgb(ink), alpha)
+    return picture(pixels)
+
+
 def _placed(
     alignment: Alignment,
     maps: Mapping[str, TopoMap],
@@ -195,5 +226,8 @@ def _placed(
     }
     if placement is not None:
         links = itemised(placement, LINKS)
+        turn = upright_rad(maps[pair.a].paths)
+        views = [(t, t.seen) for t in placement.of("views") if t.seen is not None]
+        out["views"] = [[named_views(t), _seen(seen, turn)] for t, seen in views]
         out["links"] = [list(t.a) for t in links if t.bits > 0 and len(t.a) == 2]
     return out

@@ -101,7 +101,8 @@ def draw_component(
 
     rank: of runs, for their colours; free: branches that nobody drove (total branches,), drawn
     where there is a list of drives; several: how many components of several runs are drawn;
-    told: whether each strand and junction says what it is, not only whose strands these are;
+    told: whether each strand and junction says what it is, not only whose strands these are, and
+    the frame is drawn;
     numbers: junctions to be numbered, all by default.
     """
     T, theme = part.cell.T_sheet_map, surface.theme
@@ -137,7 +138,8 @@ def draw_component(
         tips = [_describe_junction(fused, v) for v in rows.tolist()] if told else []
         surface.dots(apply(T, fused.xy[rows]), Look(theme[ink], pens, tips=tips, key=key))
     _rings(surface, part, drives or (), changes)
-    draw_frame(surface, part.cell)
+    if told:
+        draw_frame(surface, part.cell)
     named = [v for v in part.vertices[~turned].tolist() if numbers is None or v in numbers]
     surface.words(apply(T, fused.xy[named]), [*map(str, named)])
 
