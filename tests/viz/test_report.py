@@ -12,9 +12,11 @@ from topobatch.merge.change import Change, ChangeKind, Witness
 from topobatch.merge.decision import Decision, Placement, Requirement, Term
 from topobatch.merge.drive import Drive, Stop
 from topobatch.merge.result import Standing, UnlistedPairs
+from topobatch.topology.matching.views import Compared
 from topobatch.viz.report import Report, report_page
 
 HOSTILE = "</script><img src=x onerror=alert(1)>&\"'{{7*7}}`${1}"
+SEEN = Compared(np.eye(3)[:, :2], np.array([False, True, True]), np.arange(3))
 VERSIONS = [("topobatch", "1.2.3")]
 
 
@@ -99,8 +101,9 @@ def change(**fields) -> Change:
 def decision(pair) -> Decision:
     terms = (
         Term("corridor", 3.5, "corridor", (0, 1), (0, 1), (10.0, 10.1)),
-        Term("branches", 4.0, "branches", (0,), (0,)),
+        Term("branches", 1.0, "branches", (0,), (0,)),
         Term("unseen", -1.5, "junction unseen", (2,), ()),
+        Term("views", 3.0, "1 pair of views", (1,), (1,), seen=SEEN),
     )
     placed = [Placement(replace(x, evidence_bits=6.0), terms) for x in (pair.best, pair.runner_up)]
     need = Requirement(12.6, 6, 0.001, 3, 4.0, 2.5)
@@ -215,6 +218,9 @@ def test_every_pair_is_in_the_page_with_its_reason(merge_of) -> None:
     assert len(opened[0, 1]["placed"]) == 2
     shown = opened[1, 2]
     assert shown["placed"][0]["links"] == [[0, 1]]
+    ((told, url),) = shown["placed"][0]["views"]
+    assert told == "views for it: +3.0 bits"
+    assert url.startswith("data:image/png;base64,")
     assert any(row[1:4] == ["corridor: 10.00 m, 10.10 m", "0-1", "0-1"] for row in shown["rows"])
     assert "Note: merge again" in shown["told"]
     assert any("To settle it: go on" in line for line in shown["told"])
