@@ -44,13 +44,10 @@ from topobatch.topology.map_pose_graph import map_pose_graph
 from topobatch.topology.odometry import Odometry
 from topobatch.topology.topomap import TopoMap
 from topobatch.topology.turning_vertices import with_turning_points
-from topobatch.viz.exports import (
-    MAP_FORMATS,
-    MAX_ERROR_M,
-    corrected_tum,
-    pose_graph_g2o,
-    recorded_tum,
-)
+from topobatch.viz.exports import MAP_FORMATS
+from topobatch.viz.exports.pose_graph import pose_graph_g2o
+from topobatch.viz.exports.route_graph import MAX_ERROR_M
+from topobatch.viz.exports.tum import corrected_tum, recorded_tum
 
 KINDS = ("maze", "office", "organic", "city", "rows")
 READERS = {

@@ -16,7 +16,9 @@ from ..topology.errors import DataError, UsageError
 from ..topology.map_pose_graph import map_pose_graph
 from ..topology.topomap import TopoMap
 from ..topology.wording import counted, listed
-from ..viz.exports import corrected_tum, map_texts, pose_graph_g2o, recorded_tum
+from ..viz.exports import map_texts
+from ..viz.exports.pose_graph import pose_graph_g2o
+from ..viz.exports.tum import corrected_tum, recorded_tum
 from .export_grid import PICTURE, Exported, grid_of_saved, grid_texts, log_of
 from .options import (
     ComponentOption,

@@ -23,7 +23,7 @@ from ..topology.topomap import TopoMap
 from ..topology.views import CELL_M as VIEW_CELL_M
 from ..topology.views import REACH_M
 from ..topology.wording import listed
-from ..viz.exports import map_picture, map_yaml
+from ..viz.exports.map_server import map_picture, map_yaml
 from ..viz.walls import walls_of
 from .output import counting, megabytes, progress, warn
 from .workspace import Workspace

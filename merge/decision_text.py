@@ -358,3 +358,8 @@ def _table(decision: Decision, links: int, width: int) -> list[str]:
     out.append(line(sums, sum_label(decision)))
     first, *more = wrap(f"needed: {needs(decision)}", width - 8 * count - 2, subsequent_indent="  ")
     return [*out, line([_threshold(decision)], first), *(line([], each) for each in more)]
+
+
+def named_views(term: Term) -> str:
+    """The title of a picture of two views."""
+    return f"views {'for' if term.bits > 0 else 'against'} it: {term.bits:+.1f} bits"

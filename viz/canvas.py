@@ -12,7 +12,7 @@ import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from math import ceil, floor, log10
+from math import floor, inf
 from textwrap import wrap
 from types import MappingProxyType
 from typing import Any, Literal
@@ -24,17 +24,18 @@ from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
 from matplotlib.lines import Line2D
 from matplotlib.patches import PathPatch
-from matplotlib.path import Path as Outline
+from matplotlib.path import Path
+from matplotlib.ticker import MaxNLocator
 from matplotlib.transforms import ScaledTranslation
 from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 
 from ..merge.decision_text import short
 from ..topology.arrays import FloatArray
 from ..topology.run import Grid
-from ..topology.se2 import apply
 from ..topology.wording import legible
-from .geometry import Marker
-from .palette import Order, Theme
+from .geometry import PENS, Marker
+from .palette import LARGE, MEDIUM, RING, SMALL, THIN, Theme
+from .surface import Look
 
 Format = Literal["svg", "png"]
 
@@ -44,26 +45,28 @@ MARKERS: Mapping[Marker, str] = MappingProxyType(
 """Shapes by the names that matplotlib has for them."""
 
 POINTS_PER_INCH = 72.0
+WIDTH_PT = 720.0
+PEN_PT = 2.0
+"""Largest width of a corridor's line, the unit of all marks."""
+
 TEXT_PT, SMALL_PT, HEADING_PT = 8.0, 6.5, 11.0
-LINE_PT = 13.0
+LINE_PT = 1.5 * TEXT_PT
 """Line spacing of text. The page's margin and the gaps between columns of the key are as wide; the
 scale bar, and the sample mark of an entry of the key, have twice as much room."""
 
 LETTER = 0.62
 """Estimated width of a letter over the font size."""
 
-TALLEST = 1.6
+TALLEST = 1.5
 """Largest ratio of height to width of the drawing; a taller one is scaled down to it."""
 
-TURNS = np.radians([0, 45, -45, 90, -90, 135, -135, 180])
+AROUND = np.array([(1, 1), (1, -1), (-1, 1), (-1, -1), (1, 0), (-1, 0), (0, 1), (0, -1)])
 FARTHER = (1.0, 1.5, 2.0)
-"""By how much a text is turned round what it names, and moved away from it, off other texts."""
+"""Directions in which a text may stand from what it names, and how much farther away, off other
+texts. The first ones are between corridors, which run along the axes in most maps."""
 
 MOST_TOLD = 3000
-"""More corridors or junctions than this are drawn in one piece, without tooltips."""
-
-SAMPLE_LINE_PT, SAMPLE_DOT_PT = (2.0, 4.0), (4.0, 7.5)
-"""Least and largest width of a line and of a mark in the key."""
+"""Of more marks the others have no tooltips."""
 
 PNG_DPI = 150
 """Resolution of a PNG [pixels per inch]."""
@@ -79,29 +82,28 @@ _STYLE: dict[Any, Any] = {
 }
 _SVG = "http://www.w3.org/2000/svg"
 _XLINK = "http://www.w3.org/1999/xlink"
-_NUMBERS = ("d", "x", "y", "transform", "width", "height")
-"""SVG attributes whose numbers are rounded."""
 
 
 @dataclass(slots=True)
 class Canvas:
     """A drawing of the rectangle between two corners, `low` and `high`, (2,) each [m].
 
-    width_pt: width of the whole page. Text may hold any characters: `legible` replaces unprintable
-    ones, and what is too long is shortened. What is drawn with a `key` is an entry of the key below
-    the drawing: a sample of the mark, and this label.
+    usual_m: length of a usual corridor, of which a pen is a small share; width_pt: width of the
+    whole page. What is drawn later lies above. Text may hold any characters: `legible` replaces
+    unprintable ones, and what is too long is shortened. What is drawn with a `key` is an entry of
+    the key below the drawing: a sample of the mark, and this label.
     """
 
     low: FloatArray
     high: FloatArray
     theme: Theme
-    width_pt: float = 720.0
+    usual_m: float = inf
+    width_pt: float = WIDTH_PT
     name: str = "drawing"
     figure: Figure = field(init=False)
     _axes: Any = field(init=False)
     _titles: dict[str, str] = field(init=False, default_factory=dict)
     _marks: dict[str, Line2D] = field(init=False, default_factory=dict)
-    _runs: list[tuple[str, Line2D | None]] = field(init=False, default_factory=list)
     _written: list[FloatArray] = field(init=False, default_factory=list)
 
     def __post_init__(self) -> None:
@@ -128,89 +130,67 @@ class Canvas:
         """Scale of the drawing."""
         return float(self._size_pt[0] / max(float(self.high[0] - self.low[0]), 1e-6))
 
-    def lines(
-        self,
-        paths: Sequence[FloatArray],
-        colour: str,
-        width_pt: float,
-        *,
-        order: Order = Order.CORRIDOR,
-        tips: Sequence[str] = (),
-        key: str = "",
-    ) -> None:
-        """Draw polylines, (k, 2) each [m], in one colour. tips: the tooltip in an SVG of each, or
-        one of all."""
-        if _each(tips):
-            for path, own in zip(paths, tips, strict=True):
-                self.lines([path], colour, width_pt, order=order, tips=[own], key=key)
-            return
-        if not paths:
-            return
-        self._note(key, _line(colour, float(np.clip(width_pt, *SAMPLE_LINE_PT))))
-        codes = [np.r_[Outline.MOVETO, np.full(len(p) - 1, Outline.LINETO)] for p in paths]
-        patch = PathPatch(
-            Outline(np.concatenate(paths), np.concatenate(codes)),
-            facecolor="none",
-            edgecolor=colour,
-            linewidth=width_pt,
-            capstyle="round",
-            joinstyle="round",
-            zorder=order,
-        )
-        self._add(patch, tips)
+    @property
+    def pen_m(self) -> float:
+        """Width of a corridor's line [m]."""
+        return self._pen_pt / self.points_per_m
 
-    def dots(
-        self,
-        xy: FloatArray,
-        colour: str,
-        size_pt: float,
-        *,
-        order: Order = Order.JUNCTION,
-        tips: Sequence[str] = (),
-        ring: bool = False,
-        marker: Marker = "circle",
-        key: str = "",
-    ) -> None:
-        """Draw filled marks, or rings, at xy (n, 2) [m]. tips: as of `lines`."""
-        if len(xy) == 0:
-            return
-        size = float(np.clip(size_pt, *SAMPLE_DOT_PT))
-        self._note(key, self._markers(xy[:0], colour, size, marker, ring=ring))
-        each = [([k], tips[k : k + 1]) for k in range(len(xy))] if _each(tips) else [(..., tips)]
-        for rows, own in each:
-            line = self._markers(xy[rows], colour, size_pt, marker, ring=ring)
-            line.set_zorder(order)
-            self._add(line, own)
+    @property
+    def _pen_pt(self) -> float:
+        return min(PEN_PT, self.points_per_m * self.usual_m / PENS)
 
-    def run(self, name: str, colour: str | None) -> None:
-        """Add a run to the key, or without a colour the name of the site whose runs follow."""
-        self._runs.append((name, None if colour is None else _line(colour, SAMPLE_LINE_PT[0])))
+    def lines(self, paths: Sequence[FloatArray], look: Look) -> None:
+        """Draw polylines, (k, 2) each [m], with tooltips in an SVG."""
+        for rows, own in self._told_apart(len(paths), look.tips):
+            self._note(look.key, _line(look.colour, PEN_PT * min(max(look.pens, 1.0), MEDIUM)))
+            drawn = PathPatch(
+                Path.make_compound_path(*(Path(paths[k]) for k in rows)),
+                facecolor="none",
+                edgecolor=look.colour,
+                linewidth=look.pens * self._pen_pt,
+                capstyle="round",
+                joinstyle="round",
+            )
+            self._add(drawn, own)
+
+    def _told_apart(
+        self, count: int, tips: Sequence[str]
+    ) -> Iterator[tuple[Sequence[int], Sequence[str]]]:
+        """Rows drawn in one piece, with their tooltip: each by itself where each has one."""
+        if 1 < len(tips) <= MOST_TOLD - len(self._titles):
+            yield from (([k], tips[k : k + 1]) for k in range(count))
+        elif count:
+            yield range(count), tips if len(tips) == 1 else ()
+
+    def dots(self, xy: FloatArray, look: Look) -> None:
+        """Draw filled marks, or rings, at xy (n, 2) [m]."""
+        for rows, own in self._told_apart(len(xy), look.tips):
+            self._note(look.key, self._markers(xy[:0], look, min(look.pens, LARGE), PEN_PT))
+            self._add(self._markers(xy[rows], look, look.pens, self._pen_pt), own)
 
     def _note(self, key: str, sample: Line2D) -> None:
         """Add an entry to the key, unless there is one of this name."""
         if key:
             self._marks.setdefault(key, sample)
 
-    def _markers(
-        self, xy: FloatArray, colour: str, size_pt: float, marker: Marker, *, ring: bool
-    ) -> Line2D:
+    def _markers(self, xy: FloatArray, look: Look, pens: float, pen_pt: float) -> Line2D:
         """Marks at xy (n, 2) [m]."""
         return Line2D(
             xy[:, 0],
             xy[:, 1],
             linestyle="none",
-            marker=MARKERS[marker],
-            markersize=size_pt,
-            markerfacecolor="none" if ring else colour,
-            markeredgecolor=colour if ring else self.theme["paper"],
-            markeredgewidth=1.2 if ring else 0.5,
+            marker=MARKERS[look.marker],
+            markersize=pens * pen_pt,
+            markerfacecolor="none" if look.ring else look.colour,
+            markeredgecolor=look.colour if look.ring else self.theme["paper"],
+            markeredgewidth=THIN * pen_pt,
         )
 
-    def cells(self, grid: Grid, colour: str, alpha: float = 1.0, key: str = "") -> None:
+    def cells(self, grid: Grid, look: Look, alpha: float = 1.0) -> None:
         """Draw the occupied cells of a grid that lies along the axes."""
-        self._note(key, _line(colour, SAMPLE_LINE_PT[1]))
+        self._note(look.key, _line(look.colour, SMALL * PEN_PT))
         pixels = np.zeros((*grid.free.shape, 4))
-        pixels[~grid.free & ~grid.unknown] = (*to_rgb(colour), alpha)
+        pixels[~grid.free & ~grid.unknown] = (*to_rgb(look.colour), alpha)
         x, y, _ = grid.origin
         high, wide = (count * grid.resolution_m for count in grid.free.shape)
         picture = self._axes.imshow(
@@ -219,37 +199,38 @@ class Canvas:
             extent=(x, x + wide, y, y + high),
             aspect="auto",
             interpolation="none",
-            zorder=Order.WALL,
+            zorder=len(self._axes.get_children()),
         )
         picture.set_clip_on(False)
         # What is drawn as a picture must not move the corners.
         self._axes.set(xlim=(self.low[0], self.high[0]), ylim=(self.low[1], self.high[1]))
 
-    def words(
-        self,
-        at: FloatArray,
-        text: str,
-        *,
-        size_pt: float = TEXT_PT,
-        bold: bool = False,
-        of: FloatArray | None = None,
-    ) -> None:
-        """Write a text centred at a point (2,) [m]. of: the point (2,) that it names, round which
-        and away from which it is moved off other words."""
-        text = legible(text)
-        half = np.array([LETTER * (len(text) + 0.5), 1.2]) * size_pt / (2 * self.points_per_m)
-        places = [at]
-        if of is not None:
-            around = [apply(np.array([0.0, 0.0, turn]), at - of) for turn in TURNS]
-            places = [of + far * aside for far in FARTHER for aside in around]
-        written = np.reshape(self._written, (-1, 4))
-        off = np.abs(np.array(places)[:, None] - written[:, :2]) - half - written[:, 2:]
-        over = np.maximum(-off.max(axis=-1), 0.0).sum(axis=1)
-        at = places[int(over.argmin())]
-        self._written.append(np.concatenate([at, half]))
-        self._axes.text(
-            *at.tolist(), text, ha="center", va="center", **self._font(size_pt, bold=bold)
-        )
+    def words(self, xy: FloatArray, texts: Sequence[str], *, bold: bool = False) -> None:
+        """Write a text beside each of the points (n, 2) [m] that they name, off other texts."""
+        size_pt = TEXT_PT if bold else SMALL_PT
+        for at, text in zip(xy, map(legible, texts), strict=True):
+            half = self._half(text, size_pt)
+            aside = np.sign(AROUND) * half + AROUND * RING / 2 * self.pen_m
+            places = np.concatenate([at + far * aside for far in FARTHER])
+            written = np.reshape(self._written, (-1, 4))
+            off = np.abs(places[:, None] - written[:, :2]) - half - written[:, 2:]
+            over = np.maximum(-off.max(axis=-1), 0.0).sum(axis=1)
+            self._write(places[int(over.argmin())], text, size_pt, bold=bold)
+
+    def title(self, top: FloatArray, text: str) -> None:
+        """Write a text below a point (2,) [m]."""
+        self._write(top - np.array([0.0, TEXT_PT / self.points_per_m]), legible(text), TEXT_PT)
+
+    def _half(self, text: str, size_pt: float) -> FloatArray:
+        """Half the width and height of a text, about (2,) [m]."""
+        sides_pt = np.array([LETTER * size_pt * len(text), size_pt])
+        return np.asarray(sides_pt / (2 * self.points_per_m))
+
+    def _write(self, at: FloatArray, text: str, size_pt: float, *, bold: bool = False) -> None:
+        """Write a text centred at a point (2,) [m]."""
+        self._written.append(np.concatenate([at, self._half(text, size_pt)]))
+        font = self._font(size_pt, bold=bold)
+        self._axes.text(*at.tolist(), text, ha="center", va="center", **font)
 
     def _font(self, size_pt: float = TEXT_PT, *, bold: bool = False) -> dict[str, Any]:
         return {
@@ -257,13 +238,14 @@ class Canvas:
             "fontweight": "bold" if bold else "normal",
             "fontfamily": "sans-serif",
             "color": self.theme["ink"],
-            "zorder": Order.WORDS,
+            "zorder": inf,
             "parse_math": False,  # run names may hold dollar signs
         }
 
     def _add(self, artist: Any, tips: Sequence[str] = ()) -> None:
-        """Draw an artist, also beyond the corners; one tip becomes its tooltip."""
+        """Draw an artist above the others, also beyond the corners; one tip becomes its tooltip."""
         artist.set_clip_on(False)
+        artist.set_zorder(len(self._axes.get_children()))
         if len(tips) == 1:
             gid = f"{self.name}-{len(self._titles)}"
             artist.set_gid(gid)
@@ -272,15 +254,12 @@ class Canvas:
 
     def finish(self, heading: Sequence[str]) -> None:
         """Write what stands around the drawing: heading lines above (empty ones are skipped; the
-        first one is larger), a scale bar and the key below, first of marks, then of runs."""
+        first one is larger), a scale bar and the key below."""
         with _styled():
             self._write_heading(*map(legible, heading))
             self._draw_scale_bar()
-            below = 2 * LINE_PT
-            groups: list[list[tuple[str, Line2D | None]]] = [[*self._marks.items()], self._runs]
-            for group in filter(None, groups):
-                rows = self._draw_key(group, below)
-                below += LINE_PT * rows + 6.0
+            if self._marks:
+                self._draw_key()
 
     def _write_heading(self, title: str, *others: str) -> None:
         """Write the title and lines below it, upwards from the drawing's upper edge."""
@@ -293,7 +272,8 @@ class Canvas:
             self._axes.text(0.0, 1.0, line, va="bottom", transform=above, **font)
 
     def _draw_scale_bar(self) -> None:
-        length = round_length(0.2 * float(self.high[0] - self.low[0]))
+        wide = float(self.high[0] - self.low[0])
+        length = float(MaxNLocator(5, steps=[1, 2, 5, 10]).tick_values(0.0, wide)[1])
         bar = AnchoredSizeBar(
             self._axes.transData,
             length,
@@ -304,22 +284,21 @@ class Canvas:
             color=self.theme["ink"],
             fontproperties=FontProperties(size=TEXT_PT),
             bbox_to_anchor=(0.0, 0.0),
-            bbox_transform=self._below(4.0),
+            bbox_transform=self._below(TEXT_PT / 2),
         )
         self._add(bar)
 
-    def _draw_key(self, group: Sequence[tuple[str, Line2D | None]], below_pt: float) -> int:
-        """Draw the entries of a key, label and sample, in as many columns as fit; returns the
-        number of rows. Labels without a sample are headings."""
-        longest = max(len(label) for label, _ in group)
+    def _draw_key(self) -> None:
+        """Draw samples of marks and lines with their labels, in as many columns as fit."""
+        longest = max(map(len, self._marks))
         columns = max(1, floor(self._room_pt / (LETTER * TEXT_PT * longest + 3 * LINE_PT)))
         most = letters(self._room_pt / columns - 3 * LINE_PT, TEXT_PT)
         legend = self._axes.legend(
-            [sample or _line("none", 0.0) for _, sample in group],
-            [short(legible(label), most) for label, _ in group],
+            [*self._marks.values()],
+            [short(legible(label), most) for label in self._marks],
             loc="upper left",
             bbox_to_anchor=(0.0, 0.0),
-            bbox_transform=self._below(below_pt),
+            bbox_transform=self._below(2 * LINE_PT),
             ncols=columns,
             frameon=False,
             fontsize=TEXT_PT,
@@ -328,10 +307,7 @@ class Canvas:
             borderpad=0.0,
             borderaxespad=0.0,
         )
-        for (_, sample), text in zip(group, legend.get_texts(), strict=True):
-            text.set_fontweight("normal" if sample else "bold")
         self._add(legend)
-        return ceil(len(group) / columns)
 
     def _below(self, down_pt: float) -> Any:
         """The transform of the drawing's fractions, moved down the page."""
@@ -357,16 +333,17 @@ class Canvas:
         return out.getvalue() if form == "png" else self._tidied(out.getvalue())
 
     def _tidied(self, svg: bytes) -> bytes:
-        """The SVG with tooltips and numbers rounded to two decimals."""
+        """The SVG with tooltips, its numbers rounded to two decimals, without indentation."""
         ET.register_namespace("", _SVG)
         ET.register_namespace("xlink", _XLINK)
         root = ET.fromstring(svg)
         for about in root.findall(f"{{{_SVG}}}metadata"):
             root.remove(about)
         for node in root.iter():
-            for name in _NUMBERS:
-                if name in node.attrib:
-                    node.set(name, _NUMBER.sub(_two_decimals, " ".join(node.attrib[name].split())))
+            node.text, node.tail = ((text or "").strip() for text in (node.text, node.tail))
+            for name in _NUMBERS & node.attrib.keys():
+                numbers = _NUMBER.sub(_two_decimals, " ".join(node.attrib[name].split()))
+                node.set(name, numbers)
             tip = self._titles.get(node.get("id", ""))
             if tip is not None:
                 title = ET.Element(f"{{{_SVG}}}title")
@@ -376,6 +353,8 @@ class Canvas:
         return text + b"\n"
 
 
+_NUMBERS = {"d", "x", "y", "transform", "width", "height", "viewBox"}
+"""SVG attributes whose numbers are rounded."""
 _NUMBER = re.compile(r"-?\d+\.\d+")
 
 
@@ -397,19 +376,6 @@ def _line(colour: str, width_pt: float) -> Line2D:
     return Line2D([], [], color=colour, linewidth=width_pt)
 
 
-def _each(tips: Sequence[str]) -> bool:
-    """Whether marks are drawn one by one, each with its tooltip."""
-    return 1 < len(tips) <= MOST_TOLD
-
-
 def letters(room_pt: float, size_pt: float) -> int:
     """About how many letters have room, at least one."""
     return max(floor(room_pt / (LETTER * size_pt)), 1)
-
-
-def round_length(most_m: float) -> float:
-    """The largest of 1, 2 and 5 times a power of ten that is at most `most_m` [m]."""
-    unit = 10.0 ** floor(log10(max(most_m, 1e-3)))
-    return unit * max(
-        step for step in (1.0, 2.0, 5.0) if step * unit <= most_m * (1 + 1e-9) or step == 1
-    )

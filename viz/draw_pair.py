@@ -3,7 +3,7 @@ speak most for a placement and against it, laid over each other."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -15,185 +15,140 @@ from ..merge.decision_text import (
     headline,
     itemised,
     listed,
+    named_views,
     other_name,
 )
 from ..merge.result import shown_bits
 from ..topology.arrays import FloatArray
-from ..topology.matching.views import AGREES, CONTRADICTS, SILENT
+from ..topology.matching.views import AGREES, CONTRADICTS, SILENT, Compared
 from ..topology.se2 import apply, compose, turned
 from ..topology.topomap import TopoMap
 from ..topology.turning_vertices import with_turning_points
 from ..topology.views import CELL_M, REACH_M
-from ..topology.wording import counted
-from .canvas import SMALL_PT, Canvas
-from .draw import WIDTH_PT, draw_frames, draw_walls, sheet_canvas
-from .geometry import MIN_SIDE_M, MOST_NUMBERED, contradiction_spots, extent
-from .palette import Order, Theme
-from .sheet import Cell, arrange, sheet_margin_m, upright_rad
+from .canvas import Canvas
+from .draw import draw_frames
+from .geometry import MOST_NUMBERED, bounds, contradiction_spots, extent, usual_m
+from .palette import LARGE, RING, SMALL, THIN, Theme
+from .scene import draw_frame, draw_walls
+from .sheet import arrange, corners_of, outline, upright_rad
+from .surface import Look
 from .walls import wall_points, walls_of
 
-APART, ASIDE = 0.15, 0.2
-"""The vertical gap between two maps drawn apart, and their horizontal offset, so that connecting
-lines do not follow the corridors of a grid; over the extent of both."""
-
-VIEW_SHARE = 0.6
-"""Least width of a picture of views over that of a placement: of large buildings views are drawn
-larger than their maps."""
-
-FILLED = 0.85
-"""Share of a cell that views take, below its title."""
-
-PEN_PT, RING_PT, DOT_PT = 1.6, 6.5, 3.6
-"""Width of a run's line, of the ring round a junction, and of a dot."""
-
-FULL_BITS = 6.0
-"""A link of this many bits is drawn widest."""
-
-WALL_WIDTHS = (1.0, 0.5)
-"""Widths of the walls of a and of b in views, over that of a cell: where both lie, both show."""
-
 TINY_M = 1e-3
-"""Length of the line that is drawn for a cell of a wall."""
+"""Length of the slant line that is drawn for a cell of a wall; an upright one would be snapped."""
 
 CONTRADICTIONS = "what speaks against it"
-
-_CORNERS = REACH_M * np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
-"""(4, 2) corners of a view, about its place [m]."""
 
 
 def draw_decision(a: TopoMap, b: TopoMap, decision: Decision, theme: Theme) -> Canvas:
     """Draw why two runs were merged or not: the placements of b over a, with lines between matched
-    junctions, the links that speak for a placement and what speaks against it."""
+    junctions, the links that speak for a placement and what speaks against it. Where nothing fits,
+    the maps side by side."""
     a, b = with_turning_points(a), with_turning_points(b)
-    pictures = _pictures(a, b, decision)
-    views = [t for p in decision.placements[:1] for t in p.of("views") if t.seen is not None]
-    views.sort(key=lambda t: -t.bits)
+    pictures, upright = _pictures(decision), [upright_rad(m.paths) for m in (a, b)]
     of_a, of_b = (
         np.concatenate([extent(m), wall_points(walls_of([m.views], m.frame))]) for m in (a, b)
     )
-    points = [np.concatenate([of_a, apply(p.T_a_b, of_b)]) for p in pictures]
-    turn = upright_rad(a.paths)
-    wide = min((float(np.ptp(p, axis=0).max()) for p in points if len(p)), default=0.0)
-    square = turned(_CORNERS * max(VIEW_SHARE * wide / (2 * REACH_M), 1.0), -turn)
-    shown = [*points, *(square for _ in views)]
-    cells = arrange(shown, [turn] * len(shown), sheet_margin_m(points))
-    canvas = sheet_canvas(cells, theme, WIDTH_PT, "pair")
-    titles = [p.title for p in pictures]
-    titles += [f"views {'for' if t.bits > 0 else 'against'} it: {t.bits:+.1f} bits" for t in views]
-    draw_frames(canvas, cells, [(title,) for title in titles])
-    for picture, cell in zip(pictures, cells, strict=False):
-        poses = (cell.T_sheet_map, compose(cell.T_sheet_map, picture.T_a_b))
-        for k, (m, T) in enumerate(zip((a, b), poses, strict=True)):
-            _own_map(canvas, m, T, k)
-        if picture.placement is not None:
+    points = [np.concatenate([of_a, apply(T_a_b, of_b)]) for *_, T_a_b in pictures] or [of_a, of_b]
+    wide = min(float(np.ptp(own, axis=0).max()) if len(own) else 0.0 for own in points)
+    larger = max(wide / (4 * REACH_M), 1.0)
+    views = [(t, t.seen) for p in decision.placements[:1] for t in p.of("views") if t.seen]
+    square = outline((-larger * REACH_M,) * 2, (larger * REACH_M,) * 2)
+    points += [turned(square, -upright[0])] * len(views)
+    cells = arrange(points, upright[:1] * len(points) if pictures else upright)
+    usual = usual_m(np.concatenate([a.length, b.length]))
+    canvas = Canvas(*bounds([corners_of(cells)]), theme, usual, name="pair")
+    titles = [title for title, *_ in pictures] or [a.run, b.run]
+    titles += [named_views(t) for t, _ in views]
+    draw_frames(canvas, cells, titles)
+    for (_, placement, T_a_b), cell in zip(pictures, cells, strict=False):
+        poses = (cell.T_sheet_map, compose(cell.T_sheet_map, T_a_b))
+        draw_frame(canvas, cell)
+        _own_maps(canvas, (a, b), poses)
+        if placement is not None:
             at = (apply(poses[0], a.xy), apply(poses[1], b.xy))
-            _evidence(canvas, picture.placement, at, digits_of(decision), apart=picture.tied)
-            _numbers(canvas, picture.placement, (a, b), at, apart=picture.tied)
-    for term, cell in zip(views, cells[len(pictures) :], strict=True):
-        _seen(canvas, term, cell, turn)
+            _evidence(canvas, placement, at, digits_of(decision))
+            _numbers(canvas, placement, (a, b), at)
+    if not pictures:
+        _own_maps(canvas, (a, b), [cell.T_sheet_map for cell in cells])
+    for (_, seen), cell in zip(views, cells[len(pictures) :], strict=bool(views)):
+        _seen(canvas, seen, cell.T_sheet_map, larger)
     heading = [headline(decision), because(decision), advice(decision)]
     canvas.finish([*heading, *(f"Note: {note}" for note in decision.notes)])
     return canvas
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Picture:
-    """One picture of map b with map a. T_a_b: b's pose in it; tied: drawn apart, with lines between
-    matched junctions."""
-
-    title: str
-    placement: Placement | None
-    T_a_b: FloatArray
-    tied: bool = False
-
-
-def _pictures(a: TopoMap, b: TopoMap, decision: Decision) -> list[_Picture]:
-    """The pictures of a decision: the verdict's placement, the same with the maps drawn apart, and
-    the next best placement. An undecided pair has no picture with the maps apart; a pair joined
-    through other runs starts with the placement that follows from those. Where nothing fits, the
-    maps are shown apart alone."""
-    out: list[_Picture] = []
+def _pictures(decision: Decision) -> list[tuple[str, Placement | None, FloatArray]]:
+    """The pictures of b over a, each with a title, the placement shown, and T_a_b: the verdict's
+    placement, and the next best one. A pair joined through other runs starts with the placement
+    that follows from those."""
+    out: list[tuple[str, Placement | None, FloatArray]] = []
     if decision.by_others is not None:
         title = f"joined through {listed(decision.pair.through, 2)}"
-        out.append(_Picture(title, None, decision.by_others))
+        out.append((title, None, decision.by_others))
     for k, placement in enumerate(decision.placements):
-        T = placement.alignment.transform
         called = other_name(decision) if k else "placement"
         bits = shown_bits(placement.alignment.evidence_bits)
-        out.append(_Picture(f"{called}: {bits} bits", placement, T))
-        alone = len(decision.placements) == 1 or decision.pair.accepted
-        alone &= decision.by_others is None
-        if k == 0 and alone and len(placement.alignment.matched):
-            count = len(placement.alignment.matched)
-            title = f"the {counted(count, 'matched junction')} tied"
-            out.append(_Picture(title, placement, _apart(a, b, T), tied=True))
-    if out:
-        return out
-    turn = upright_rad(a.paths) - upright_rad(b.paths)
-    return [_Picture("no placement", None, _apart(a, b, np.array([0.0, 0.0, -turn])))]
+        out.append((f"{called}: {bits} bits", placement, placement.alignment.transform))
+    return out
 
 
-def _apart(a: TopoMap, b: TopoMap, T_a_b: FloatArray) -> FloatArray:
-    """T_a_b translated so that b lies below a where a is drawn upright."""
-    turn = upright_rad(a.paths)
-    upright = np.array([0.0, 0.0, turn])
-    origin = np.zeros((1, 2))  # of maps without junctions
-    of_a = apply(upright, extent(a) if len(a) else origin)
-    of_b = apply(compose(upright, T_a_b), extent(b) if len(b) else origin)
-    reach = max(float(np.ptp(np.concatenate([of_a, of_b]), axis=0).max()), MIN_SIDE_M)
-    drop = of_a[:, 1].min() - of_b[:, 1].max() - APART * reach
-    away = np.array([ASIDE * reach, drop, 0.0])
-    return compose(np.array([0.0, 0.0, -turn]), compose(away, compose(upright, T_a_b)))
-
-
-def _own_map(canvas: Canvas, m: TopoMap, T: FloatArray, side: int) -> None:
-    """Draw the map of a (side 0) or of b (1) at T on the sheet. Walls of a show through those of
-    b."""
-    colour = canvas.theme.run(side)
-    canvas.lines([apply(T, path) for path in m.paths], colour, PEN_PT, tips=[m.run], key=m.run)
-    canvas.dots(apply(T, m.xy), colour, DOT_PT)
-    alpha, key = (1.0, 0.75)[side], f"walls of {m.run}"
-    draw_walls(canvas, [m.views], T, canvas.theme.pale(side), alpha=alpha, key=key)
+def _own_maps(canvas: Canvas, maps: tuple[TopoMap, TopoMap], poses: Sequence[FloatArray]) -> None:
+    """Draw the maps at their poses on the sheet, their walls below; those of a show through those
+    of b."""
+    theme = canvas.theme
+    for k, (m, T) in enumerate(zip(maps, poses, strict=True)):
+        pale, key = theme.pale(theme.run(k)), f"walls of {m.run}"
+        draw_walls(canvas, [m.views], T, pale, alpha=1 / (1 + k), key=key)
+    for k, (m, T) in enumerate(zip(maps, poses, strict=True)):
+        canvas.lines([apply(T, p) for p in m.paths], Look(theme.run(k), tips=[m.run], key=m.run))
+        canvas.dots(apply(T, m.xy), Look(theme.run(k), SMALL))
 
 
 def _evidence(
-    canvas: Canvas,
-    placement: Placement,
-    at: tuple[FloatArray, FloatArray],
-    digits: int,
-    *,
-    apart: bool,
+    canvas: Canvas, placement: Placement, at: tuple[FloatArray, FloatArray], digits: int
 ) -> None:
-    """Draw what a picture shows besides the two maps: matched junctions with a line between each
-    two; links between junctions of a, with b apart also of b; contradictions. at: positions of the
-    junctions on the sheet; digits: decimals of bits."""
+    """Draw what a picture shows besides the two maps: links between junctions of a, matched
+    junctions with a line between each two, contradictions. at: positions of the junctions on the
+    sheet; digits: decimals of bits."""
     pairs, theme = placement.alignment.matched, canvas.theme
-    ends = [at[k][pairs[:, k]] for k in (0, 1)]
-    sides = (0, 1)[: 1 + apart]
+    for term in reversed(itemised(placement, LINKS)):
+        if len(term.a) == 2:
+            good = term.bits >= 0
+            ink, key = (
+                ("agrees", "link that speaks for it") if good else ("against", CONTRADICTIONS)
+            )
+            tips = [_describe_term(term, digits)]
+            canvas.lines([at[0][[*term.a]]], Look(theme[ink], SMALL, tips=tips, key=key))
     same = [f"junction {u} = junction {v}" for u, v in pairs.tolist()]
-    tied = [*np.stack(ends, axis=1)]
-    canvas.lines(tied, theme["ink"], 0.5 * PEN_PT, order=Order.TIE, tips=same)
+    ends = [at[k][pairs[:, k]] for k in (0, 1)]
+    canvas.lines([*np.stack(ends, axis=1)], Look(theme["ink"], THIN, tips=same))
     for xy in ends:
         key = "matched junctions, tied"
-        canvas.dots(xy, theme["ink"], RING_PT, order=Order.RING, ring=True, tips=same, key=key)
-    for term in reversed(itemised(placement, LINKS)):
-        good = term.bits >= 0
-        ink, key = ("agrees", "link that speaks for it") if good else ("against", CONTRADICTIONS)
-        pen_pt = PEN_PT * (1.2 + 1.8 * min(abs(term.bits) / FULL_BITS, 1.0))
-        lines = [at[k][[*rows]] for k, rows in ((0, term.a), (1, term.b)) if len(rows) == 2]
-        for line in lines[: len(sides)]:
-            tips = [_describe_term(term, digits)]
-            canvas.lines([line], theme[ink], pen_pt, order=Order.EVIDENCE, tips=tips, key=key)
+        canvas.dots(xy, Look(theme["ink"], LARGE, ring=True, tips=same, key=key))
     terms = [t for t in itemised(placement, AGAINST) if t.a or t.b]
     against = ((_describe_term(t, digits), (t.a, t.b)) for t in terms)
-    for xy, words in contradiction_spots(against, *at, apart=apart):
-        canvas.dots(
-            *(xy[None], theme["against"], RING_PT),
-            order=Order.CONTRADICTION,
-            ring=True,
-            tips=[words],
-            key=CONTRADICTIONS,
-        )
+    for spot, words in contradiction_spots(against, *at):
+        colour, key = theme["against"], CONTRADICTIONS
+        canvas.dots(spot[None], Look(colour, RING, ring=True, tips=[words], key=key))
+
+
+def _seen(canvas: Canvas, seen: Compared, T: FloatArray, larger: float) -> None:
+    """Draw the walls of two views over each other, those of a wider; what contradicts last.
+    larger: how much larger than in the map."""
+    theme, xy = canvas.theme, apply(T, larger * seen.xy)
+    for kind in (SILENT, AGREES, CONTRADICTS):
+        for run in (0, 1):
+            own = xy[(seen.kind == kind) & (seen.of_second == run)]
+            ink = theme["against"] if kind == CONTRADICTS else theme.run(run)
+            canvas.lines(
+                [*np.stack([own - TINY_M, own], axis=1)],
+                Look(
+                    theme.pale(ink) if kind == SILENT else ink,
+                    larger * CELL_M / canvas.pen_m / (1 + run),
+                    key=CONTRADICTIONS if kind == CONTRADICTS else "",
+                ),
+            )
 
 
 def _numbers(
@@ -201,38 +156,16 @@ def _numbers(
     placement: Placement,
     maps: tuple[TopoMap, TopoMap],
     at: tuple[FloatArray, FloatArray],
-    *,
-    apart: bool,
 ) -> None:
-    """Write the numbers of junctions, of a above and of b below them: advice and contradictions
-    name also junctions that are not matched. Matched ones of b have theirs only where b is drawn
-    apart, and large maps only those of matched junctions."""
-    for k, (m, side) in enumerate(zip(maps, (-1.0, 1.0), strict=True)):
-        matched = placement.alignment.matched[:, k].tolist()
-        rows = {*np.flatnonzero(~m.is_turned).tolist()}
-        rows = rows if len(rows) <= MOST_NUMBERED else {*matched}
-        if k == 1 and not apart:
-            rows -= {*matched}
-        aside = 7.0 / canvas.points_per_m * np.array([side, -side])
-        for v in sorted(rows) if len(rows) <= MOST_NUMBERED else ():
-            canvas.words(at[k][v] + aside, str(v), size_pt=SMALL_PT, of=at[k][v])
+    """Write the numbers of junctions, matched ones as of a: advice and contradictions name also
+    junctions that are not matched. Of large maps only those of matched junctions."""
+    of_a, of_b = (np.flatnonzero(~m.is_turned).tolist() for m in maps)
+    matched_a, matched_b = (placement.alignment.matched[:, k].tolist() for k in (0, 1))
+    rows_a = of_a if len(of_a) <= MOST_NUMBERED else sorted(matched_a)
+    rows_b = [v for v in of_b if v not in matched_b] if len(of_b) <= MOST_NUMBERED else []
+    for xy, rows in zip(at, (rows_a, rows_b), strict=True):
+        canvas.words(xy[rows], [*map(str, rows)])
 
 
 def _describe_term(term: Term, digits: int) -> str:
     return f"{term.bits:+.{digits}f} bits: {term.text}"
-
-
-def _seen(canvas: Canvas, term: Term, cell: Cell, turn_rad: float) -> None:
-    """Draw two views over each other in a cell; what contradicts last."""
-    assert term.seen is not None
-    theme = canvas.theme
-    scale = FILLED * float((cell.high - cell.low).min()) / (2 * REACH_M)
-    xy = (cell.low + cell.high) / 2 + scale * turned(term.seen.xy, turn_rad)
-    for kind in (SILENT, AGREES, CONTRADICTS):
-        for run in (0, 1):
-            own = xy[(term.seen.kind == kind) & (term.seen.of_second == (run == 1))]
-            ink = {SILENT: theme.pale(run), AGREES: theme.run(run)}.get(kind, theme["against"])
-            width_pt = WALL_WIDTHS[run] * CELL_M * scale * canvas.points_per_m
-            key = CONTRADICTIONS if kind == CONTRADICTS else ""
-            cells = [*np.stack([own - TINY_M, own], axis=1)]
-            canvas.lines(cells, ink, width_pt, key=key)

@@ -1,34 +1,32 @@
-"""The geometry of pictures of a map: ribbons, branch arrows, thinned tracks, bounds. Independent of
-the viewer."""
+"""The geometry of pictures of a map: pens, ribbons, branch arrows, bounds. Independent of what
+draws it."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
 
-from ..merge.change import Change
 from ..merge.result import FusedMap
 from ..topology.arrays import BoolArray, FloatArray, IntArray
 from ..topology.polyline import way_of
 from ..topology.topomap import Graph
 from ..topology.turning_points import FRONTIER, TRACK_END, TURNING_POINT
+from .palette import RING
 
 Marker = Literal["circle", "triangle", "square", "diamond"]
-"""Shapes of filled marks."""
+"""Shapes of filled marks, by the names that Bokeh has for them."""
 
 MOST_NUMBERED = 150
 """Up to this many junctions their numbers are always shown; above, only for the one pointed at."""
 
 WIDEST_RIBBON = 4
-"""Largest width of a ribbon, in pens; with more runs its strands get thinner."""
+"""Largest width of a ribbon, in pens; of more runs the strands are thinner."""
 
-SMALL, MEDIUM, LARGE = 1.0, 1.5, 2.2
-"""Radii of dots in the viewer, in pens (`pen_m`): wide enough to cover a corridor's line, and told
-apart by eye."""
+PENS = 10
+"""A corridor of usual length is drawn at least so many pens long."""
 
 TURNED = {
     TURNING_POINT: "the robot turned round",
@@ -42,21 +40,25 @@ TURNED_MARKERS: Mapping[str, Marker] = MappingProxyType(
 )
 """Its mark, a red one."""
 
+FINEST_M = 0.05
+"""Lines are drawn with as few points as stay within it of the whole line, tracks with no more than
+one on such a way [m]."""
+
 MIN_SIDE_M = 4.0
 """Smallest side of a picture, or of a cell on a sheet: of a map of one junction."""
 
-LINE_SHARE = 0.12
-"""Largest width of a run's line in a merge over the median corridor: several lie side by side."""
-
-MARGIN, SHEET_MARGIN = 0.05, 0.02
-"""Margin around a map and around a sheet of maps, as shares of the extent."""
+MARGIN = 0.05
+"""Margin around a picture, as a share of its extent."""
 
 
-def pen_m(graphs: Sequence[Graph]) -> float:
-    """Width of a corridor's line [m]: a share of the median corridor length over all maps of a
-    sheet."""
-    lengths = np.concatenate([*(g.length for g in graphs), np.zeros(0)])
-    return float(np.clip(0.035 * np.median(lengths), 0.02, 2.0)) if len(lengths) else 0.2
+def usual_m(lengths: FloatArray) -> float:
+    """The median length of corridors [m], which tells how large a map is drawn; 1 without any."""
+    return float(np.median(lengths)) if len(lengths) else 1.0
+
+
+def pen_m(graph: Graph) -> float:
+    """Width of a corridor's line in the viewer [m], thin, as one zooms in there."""
+    return usual_m(graph.length) / (3 * PENS)
 
 
 def extent(graph: Graph) -> FloatArray:
@@ -64,83 +66,44 @@ def extent(graph: Graph) -> FloatArray:
     return np.concatenate([graph.xy, *graph.paths])
 
 
-def branch_arrows(
-    graph: Graph, chosen: BoolArray, length_m: float
-) -> tuple[FloatArray, FloatArray]:
-    """Origins and vectors, (k, 2) each [m], of arrows along the k chosen ones of all branches."""
+def branch_arrows(graph: Graph, chosen: BoolArray, pen: float) -> tuple[FloatArray, FloatArray]:
+    """Origins and vectors, (k, 2) each [m], of arrows along the k chosen ones of all branches: a
+    ring's width long. pen: width of a corridor's line [m]."""
     heading = graph.branches.values[chosen]
-    vectors = length_m * np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+    vectors = RING * pen * np.stack([np.cos(heading), np.sin(heading)], axis=-1)
     return graph.xy[graph.branches.owner[chosen]], vectors
 
 
-def ribbons(paths: Sequence[FloatArray], offset_m: FloatArray) -> list[FloatArray]:
-    """Polylines parallel to the given ones, (k, 2) each, offset to the left by `offset_m` (n,),
-    with mitred corners.
-
-    Repeated points are dropped. A path without extent, or with offset 0, is returned as it is. All
-    paths are computed at once, concatenated.
-    """
-    owner = np.arange(len(paths)).repeat([len(path) for path in paths])
-    points = np.concatenate([np.zeros((0, 2)), *paths])
-    fresh = np.ones(len(points), np.bool_)
-    fresh[1:] = (owner[1:] != owner[:-1]) | np.any(points[1:] != points[:-1], axis=1)
-    points, owner = points[fresh], owner[fresh]
-    within = owner[1:] == owner[:-1]
-    x, y = (points[1:] - points[:-1])[within].T
-    normal = np.stack([-y, x], axis=-1) / np.hypot(x, y)[:, None]
-    before, after = np.zeros_like(points), np.zeros_like(points)
-    before[1:][within], after[:-1][within] = normal, normal
+def beside(path: FloatArray, offset_m: float) -> FloatArray:
+    """A polyline (k, 2) parallel to one, offset to the left, with mitred corners and without
+    repeated points; that itself if it has no extent."""
+    points = path[np.r_[True, np.any(path[1:] != path[:-1], axis=1)]]
+    if len(points) < 2 or offset_m == 0:
+        return path
+    step = np.diff(points, axis=0)
+    normal = np.stack([-step[:, 1], step[:, 0]], axis=-1) / np.hypot(*step.T)[:, None]
+    before, after = np.concatenate([normal[:1], normal]), np.concatenate([normal, normal[-1:]])
     # A corner moves along its bisector, by at most twice the offset: no spikes at sharp turns.
     mean = before + after
     mean /= np.maximum(np.hypot(*mean.T), 1e-9)[:, None]
-    cosine = np.ones(len(points))
-    corner = np.flatnonzero(within[:-1] & within[1:]) + 1
-    cosine[corner] = (mean[corner] * after[corner]).sum(axis=1)
-    beside = points + offset_m[owner][:, None] * mean / np.maximum(cosine, 0.5)[:, None]
-    size = np.bincount(owner, minlength=len(paths))
-    stops = np.cumsum(size).tolist()
-    moved = ((size > 1) & (offset_m != 0)).tolist()
-    return [
-        beside[stop - own : stop] if aside else path
-        for path, aside, own, stop in zip(paths, moved, size.tolist(), stops, strict=True)
-    ]
+    cosine = (mean * after).sum(axis=1)
+    return np.asarray(points + offset_m * mean / np.maximum(cosine, 0.5)[:, None])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Strand:
-    """One run's line of a fused corridor. share: its width, in pens."""
-
-    edge: int
-    run: str
-    share: float
-    path: FloatArray
-
-
-def strands(fused: FusedMap, edges: IntArray, pen: float) -> list[Strand]:
-    """The given fused corridors as parallel lines, one for each run that drove them, one `pen` wide
-    or thinner where there are more than WIDEST_RIBBON runs."""
-    rows = edges.tolist()
-    runs = [sorted({run for run, _ in fused.edge_members[edge]}) for edge in rows]
-    count = np.array([len(own) for own in runs], np.int64)
-    share = np.minimum(1.0, WIDEST_RIBBON / np.maximum(count, 1))
-    strand = np.arange(count.sum()) - (np.cumsum(count) - count).repeat(count)
-    aside = (strand - (count.repeat(count) - 1) / 2) * pen * share.repeat(count)
-    paths = [fused.paths[edge] for edge, own in zip(rows, runs, strict=True) for _ in own]
-    whose = [
-        (edge, run, part)
-        for edge, own, part in zip(rows, runs, share.tolist(), strict=True)
-        for run in own
-    ]
-    beside = ribbons(paths, aside)
-    return [Strand(*known, path) for known, path in zip(whose, beside, strict=True)]
-
-
-def changed_path(fused: FusedMap, edges: IntArray, change: Change) -> FloatArray:
-    """(k, 2) the corridor, of its site's `edges`, that a change is about, or its junction alone."""
-    if change.edge is None:
-        return np.array([change.xy, change.xy])
-    path: FloatArray = fused.paths[edges[change.edge]]
-    return path
+def strands(
+    fused: FusedMap, edges: IntArray, pen: float
+) -> dict[tuple[str, float], dict[int, FloatArray]]:
+    """The given fused corridors as parallel lines (k, 2), one for each run that drove them, by run
+    and width in pens: 1, or less where there are more than WIDEST_RIBBON runs. pen: width of a
+    corridor's line [m]."""
+    found: dict[tuple[str, float], dict[int, FloatArray]] = {}
+    for edge in edges.tolist():
+        runs = sorted({run for run, _ in fused.edge_members[edge]})
+        pens = min(1.0, WIDEST_RIBBON / max(len(runs), 1))
+        for k, run in enumerate(runs):
+            aside = pens * pen * (k - (len(runs) - 1) / 2)
+            found.setdefault((run, pens), {})[edge] = beside(fused.paths[edge], aside)
+    return dict(sorted(found.items()))
 
 
 def thinned(xy: FloatArray, spacing_m: float) -> IntArray:
@@ -169,18 +132,15 @@ def contradiction_spots(
     against: Iterable[tuple[str, tuple[Sequence[int], Sequence[int]]]],
     of_a: FloatArray,
     of_b: FloatArray,
-    *,
-    apart: bool = False,
 ) -> list[tuple[FloatArray, str]]:
     """Where contradictions are drawn, (2,) each, and their texts. against: texts, and the junctions
     of a and of b that each concerns; of_a, of_b: their positions, (n, 2) each, in one frame.
 
-    At a junction that the other run did not see, or amid two corridors that cross; of maps that are
-    drawn apart on one of them.
+    At a junction that the other run did not see, or amid two corridors that cross.
     """
     spots = []
     for told, (a, b) in against:
         ends = [of[list(rows)] for of, rows in ((of_a, a), (of_b, b)) if len(rows)]
         shown = [points for points in ends if len(points) == 1] or ends
-        spots.append((np.concatenate(shown[:1] if apart else shown).mean(axis=0), told))
+        spots.append((np.concatenate(shown).mean(axis=0), told))
     return spots

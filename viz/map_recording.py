@@ -19,9 +19,9 @@ from ..topology.run import Detections, Grid, Scanned, ScanPasses
 from ..topology.se2 import apply, compose
 from ..topology.topomap import TopoMap
 from ..topology.turning_vertices import with_turning_points
-from . import palette
-from .geometry import LARGE, MEDIUM, MOST_NUMBERED, SMALL, bounds, pen_m
+from .geometry import MARGIN, MOST_NUMBERED, PENS, bounds, extent, pen_m
 from .pages import ClosureText, closure_texts, map_page, visits
+from .palette import DARK, LARGE, MEDIUM, RING, SMALL, THIN, Order, rgb
 from .recording import (
     CLOCKS,
     HAIR,
@@ -29,29 +29,22 @@ from .recording import (
     PathParts,
     Recording,
     blueprint,
-    corridor_attributes,
     entity,
     map_view,
     markdown,
     write_branches,
+    write_corridors,
     write_grid,
+    write_junctions,
     write_recording,
 )
-from .robot_track import RobotTrack, robot_track
+from .robot_track import MOST_POINTS, RobotTrack, robot_track
 from .walls import walls_of
 
 MAP: PathParts = ("map",)
 
 TRAIL_S, DETECTION_S = 60.0, 0.3
 """How long before the cursor the robot's trail and its detections are shown."""
-
-WIDEST = 1.4
-"""The view includes the recorded odometry unless it is larger than the map's by more than this
-factor."""
-
-RING_STEP, MOST_RINGS = 0.6, 8
-"""Distance of the rings round a junction, one for each accepted closure, in pens; with more than so
-many they begin anew. The first is a pen from the largest dot."""
 
 _CIRCLE = np.stack(
     [np.cos(np.linspace(0, 2 * np.pi, 25)), np.sin(np.linspace(0, 2 * np.pi, 25))], 1
@@ -84,7 +77,7 @@ def write_map_recording(
             write_grid(recording, (*MAP, "grid"), grid)
         _corridors(recording, whole)
         path, free = (*MAP, "branches never driven"), ~driven_branches(whole)
-        write_branches(recording, path, whole, free, pen=pen_m([whole]), colors=palette.UNEXPLORED)
+        write_branches(recording, path, whole, free, colour=DARK["orange"], pen=pen_m(whole))
         _junctions(recording, whole)
         _closures(recording, topomap, closures)
         _events(recording, topomap, closures, odometry)
@@ -93,7 +86,7 @@ def write_map_recording(
             _drift(recording, track, topomap)
             if detections is not None:
                 x, y = (_correction(topomap, name) for name in ("lever_x_m", "lever_y_m"))
-                _detections(recording, detections.moved((-x, -y)), track)
+                _detections(recording, detections.moved((-x, -y)), track, pen_m(whole))
             if scanned is not None:
                 _scans(recording, scanned.passes, topomap, track)
         recording.static(("summary",), markdown(map_page(topomap, closures)))
@@ -110,7 +103,7 @@ def _blueprint(topomap: TopoMap, track: RobotTrack | None) -> rrb.Blueprint:
         pages.append(rrb.TextLogView(origin="/events", name="Events", columns=_EVENT_COLUMNS))
     side: list[rrb.View | rrb.Container] = [rrb.Tabs(*pages, active_tab=0, name="Details")]
     if track is not None:
-        side.append(_drift_view(1.8 * max(float(track.drift_m.max()), 0.1)))
+        side.append(_drift_view())
     root = rrb.Horizontal(
         _map_view(topomap, track),
         rrb.Vertical(*side, row_shares=[5, 2][: len(side)], name="Run"),
@@ -132,8 +125,8 @@ _EVENT_COLUMNS = rrb.TextLogColumns(
 )
 
 
-def _drift_view(most_m: float) -> rrb.TimeSeriesView:
-    """Distance of recorded odometry and map over the whole run; most_m: upper end of the axis."""
+def _drift_view() -> rrb.TimeSeriesView:
+    """Distance of recorded odometry and map over the whole run."""
     begin_to_end = rr.TimeRange(
         start=rr.TimeRangeBoundary.infinite(), end=rr.TimeRangeBoundary.infinite()
     )
@@ -141,23 +134,19 @@ def _drift_view(most_m: float) -> rrb.TimeSeriesView:
         origin="/drift",
         name="Drift [m]",
         axis_x=rrb.TimeAxis(view_range=begin_to_end),
-        axis_y=rrb.ScalarAxis(range=(0.0, most_m)),
-        plot_legend=rrb.PlotLegend(visible=True, corner=rrb.Corner2D.LeftTop),
+        plot_legend=rrb.PlotLegend(visible=False),
     )
 
 
 def _map_view(topomap: TopoMap, track: RobotTrack | None) -> rrb.Spatial2DView:
     """The view of the map, with the robot's recent track at the cursor."""
-    shown: list[FloatArray] = [topomap.xy, *topomap.paths]
-    low, high = bounds(shown)
+    driven = track.stretches(track.bent) if track is not None else []
+    low, high = bounds([extent(with_turning_points(topomap)), *driven], 2 * MARGIN)
     hidden = rrb.EntityBehavior(visible=False)
     overrides: dict[str, rrb.EntityBehavior | rrb.VisibleTimeRanges] = {
         entity((*MAP, "closures", "refused")): hidden,
     }
     if track is not None:
-        wide_low, wide_high = bounds([*shown, *track.stretches(track.raw)])
-        if np.all(wide_high - wide_low <= WIDEST * (high - low)):
-            low, high = wide_low, wide_high
         overrides[entity((*MAP, "detection"))] = _behind_cursor(DETECTION_S)
         overrides[entity((*MAP, "trail"))] = _behind_cursor(TRAIL_S)
     return map_view(MAP, "Map", low, high, overrides)
@@ -177,34 +166,26 @@ def _behind_cursor(seconds: float) -> rrb.VisibleTimeRanges:
     )
 
 
+SHADES = ("dim", "single", "ink")
+"""Greys of corridors, driven once, twice and more often."""
+
+
 def _corridors(recording: Recording, topomap: TopoMap) -> None:
     """Write the corridors, brighter the more often they were driven."""
-    if len(topomap.source) == 0:
-        return
-    share = np.clip((topomap.traversals - 1) / 3.0, 0.0, 1.0)[:, None]
-    dull, bright = np.array(palette.CORRIDOR), np.array(palette.WHITE)
-    recording.lines(
-        (*MAP, "corridors"),
-        topomap.paths,
-        palette.Order.CORRIDOR,
-        corridor_attributes(topomap, np.arange(len(topomap.source))),
-        radii=pen_m([topomap]) / 2,
-        colors=(dull + 0.45 * share * (bright - dull)).astype(np.uint8),
-    )
+    times = np.clip(topomap.traversals, 1, len(SHADES))
+    shades = [DARK[SHADES[k - 1]] for k in times.tolist()]
+    lines = dict(enumerate(topomap.paths))
+    path, pen = (*MAP, "corridors"), pen_m(topomap)
+    write_corridors(recording, path, topomap, lines, colours=shades, pens=pen)
 
 
 def _junctions(recording: Recording, topomap: TopoMap) -> None:
     """Write the vertices, coloured by their branches."""
     n = len(topomap)
-    if n == 0:
-        return
     of_rooms = {"area_m2": topomap.area_m2, "width_m": topomap.width_m}
     sizes: dict[str, Any] = {name: size for name, size in of_rooms.items() if size is not None}
     pens = np.where(topomap.is_turned, SMALL, np.where(topomap.degree >= 3, LARGE, MEDIUM))
     values = {
-        "vertex": np.arange(n),
-        "kind": list(topomap.kind),
-        "branches": topomap.degree,
         "headings_deg": [
             ", ".join(f"{h:.0f}" for h in np.degrees(topomap.branches[i])) for i in range(n)
         ],
@@ -212,32 +193,29 @@ def _junctions(recording: Recording, topomap: TopoMap) -> None:
         "confidence": topomap.confidence,
         "position_sigma_m": topomap.position_sigma,
     }
-    recording.dots(
-        (*MAP, "junctions"),
-        topomap.xy,
-        palette.Order.JUNCTION,
-        values | sizes,
-        radii=pens * pen_m([topomap]),
-        colors=palette.DEGREES[np.minimum(topomap.degree, len(palette.DEGREES) - 1)],
-        labels=[str(i) for i in range(n)],
-        show_labels=n <= MOST_NUMBERED,
+    write_junctions(
+        *(recording, (*MAP, "junctions"), topomap, np.arange(n)),
+        colours=[DARK[f"degree {min(degree, 5)}"] for degree in topomap.degree.tolist()],
+        sizes=pens * pen_m(topomap),
+        more=values | sizes,
+        numbered=n <= MOST_NUMBERED,
     )
 
 
 def _closures(recording: Recording, topomap: TopoMap, closures: Sequence[ClosureText]) -> None:
     """Write every closure as a line of its own: an accepted one as a ring round its junction, the
     first one innermost; a refused one between the two junctions."""
-    colours = {"accepted": palette.CLOSED, "refused": palette.REFUSED}
+    colours = {"accepted": DARK["track"], "refused": DARK["against"]}
     groups: dict[str, list[tuple[ClosureText, FloatArray]]] = {name: [] for name in colours}
     rings: Counter[int] = Counter()
-    pen = pen_m([topomap])
+    pen = pen_m(topomap)
     for shown in closures:
         a, b = shown.rows
         if a is None or b is None:  # a pass that belongs to no vertex has no position
             continue
         u, v = topomap.observation_vertex[[a, b]].tolist()
         if shown.closure.accepted and u == v:
-            radius = pen * (LARGE + 1 + RING_STEP * (rings[u] % MOST_RINGS))
+            radius = pen * (LARGE + THIN * (rings[u] % PENS))  # after so many they begin anew
             rings[u] += 1
             groups["accepted"].append((shown, topomap.xy[u] + radius * _CIRCLE))
         elif u != v:
@@ -254,8 +232,7 @@ def _closures(recording: Recording, topomap: TopoMap, closures: Sequence[Closure
             "reason": [q.closure.reason for q, _ in drawn],
         }
         path, lines = (*MAP, "closures", name), [line for _, line in drawn]
-        look = {"radii": HAIR, "colors": colours[name]}
-        recording.lines(path, lines, palette.Order.CLOSURE, values, **look)
+        recording.lines(path, lines, Order.CLOSURE, colours[name], values, radii=HAIR)
 
 
 def _events(
@@ -297,67 +274,60 @@ def _drift(recording: Recording, track: RobotTrack, topomap: TopoMap) -> None:
     if topomap.position_sigma is not None:
         sigma = np.hypot(sigma, topomap.position_sigma[topomap.observation_vertex])
     series = {
-        "drift": (track.drift_m, palette.UNEXPLORED, "recorded odometry off the map [m]", 2.0),
-        "plus sigma": (track.drift_m + sigma, palette.DIM, "+1 sigma [m]", 1.0),
-        "minus sigma": (np.maximum(track.drift_m - sigma, 0.0), palette.DIM, "-1 sigma [m]", 1.0),
+        "drift": (track.drift_m, DARK["orange"], "recorded odometry off the map [m]", 2.0),
+        "plus sigma": (track.drift_m + sigma, DARK["dim"], "+1 sigma [m]", 1.0),
+        "minus sigma": (np.maximum(track.drift_m - sigma, 0.0), DARK["dim"], "-1 sigma [m]", 1.0),
     }
     for name, (values, colour, label, width) in series.items():
         path = ("drift", name)
         recording.over_time(path, times, rr.Scalars.columns(scalars=values))
-        recording.static(path, rr.SeriesLines(colors=colour, names=label, widths=width))
+        recording.static(path, rr.SeriesLines(colors=rgb(colour), names=label, widths=width))
 
 
 def _track(recording: Recording, track: RobotTrack) -> None:
     """Write the odometry's track as recorded and as corrected, and the robot on it."""
     for name, pose, colour, order in (
-        ("recorded", track.raw, palette.RAW, palette.Order.RECORDED),
-        ("corrected", track.bent, palette.TRACK, palette.Order.CORRECTED),
+        ("recorded", track.raw, DARK["faint"], Order.RECORDED),
+        ("corrected", track.bent, DARK["track"], Order.CORRECTED),
     ):
         if lines := track.stretches(pose):
-            recording.lines((*MAP, "odometry", name), lines, order, radii=HAIR, colors=colour)
+            recording.lines((*MAP, "odometry", name), lines, order, colour, radii=HAIR)
     xy = track.bent[:, :2]
     for name, size, colour, order in (
-        ("robot", 7.0, palette.ROBOT, palette.Order.ROBOT),
-        ("trail", 2.5, palette.TRAIL, palette.Order.TIE),
+        ("robot", RING, DARK["ink"], Order.ROBOT),
+        ("trail", SMALL, DARK["green"], Order.TIE),
     ):
         recording.over_time((*MAP, name), track.time_ns, rr.Points2D.columns(positions=xy))
         radii = rr.Radius.ui_points(size)
-        look = rr.Points2D.from_fields(radii=radii, colors=colour, draw_order=order)
+        look = rr.Points2D.from_fields(radii=radii, colors=rgb(colour), draw_order=order)
         recording.static((*MAP, name), look)
 
 
-MOST_DETECTIONS = 20_000
-"""More detections are thinned evenly to this count."""
-
-BRANCH_M = 0.8
-"""Length of a drawn branch."""
-
-
-def _detections(recording: Recording, detections: Detections, track: RobotTrack) -> None:
+def _detections(
+    recording: Recording, detections: Detections, track: RobotTrack, pen: float
+) -> None:
     """Write every detection as a dot, and over time its branches as a star, at the poses of the
     corrected track. Detections outside of the track's time range are left out."""
     time_ns = detections.time_ns
     rows = np.flatnonzero((time_ns >= track.time_ns[0]) & (time_ns <= track.time_ns[-1]))
     if len(rows) == 0:
         return
-    rows = rows[:: max(1, -(-len(rows) // MOST_DETECTIONS))]
+    rows = rows[:: max(1, -(-len(rows) // MOST_POINTS))]
     pose = track.at(time_ns[rows])
     ahead = np.column_stack([detections.centre[rows], np.zeros(len(rows))])
     centre = compose(pose, ahead)[:, :2]
-    order, radii = palette.Order.SIGHTING, rr.Radius.ui_points(1.0)
-    recording.dots((*MAP, "detections"), centre, order, radii=radii, colors=palette.DETECTION)
+    colour, radii = DARK["violet"], rr.Radius.ui_points(1.0)
+    recording.dots((*MAP, "detections"), centre, Order.SIGHTING, colour, radii=radii)
     branches = detections.branches.take(rows)
     theta = branches.values + pose[branches.owner, 2]
-    ends = BRANCH_M * np.stack([np.cos(theta), np.sin(theta)], axis=-1)
+    ends = RING * pen * np.stack([np.cos(theta), np.sin(theta)], axis=-1)
     strips = np.stack([centre[branches.owner], centre[branches.owner] + ends], axis=1)
     seen = branches.counts > 0
     if not seen.any():
         return
     columns = rr.LineStrips2D.columns(strips=list(strips)).partition(branches.counts[seen])
     recording.over_time((*MAP, "detection"), time_ns[rows][seen], columns)
-    star = rr.LineStrips2D.from_fields(
-        radii=rr.Radius.ui_points(1.5), colors=palette.DETECTION, draw_order=palette.Order.SEEN
-    )
+    star = rr.LineStrips2D.from_fields(radii=radii, colors=rgb(colour), draw_order=Order.SEEN)
     recording.static((*MAP, "detection"), star)
 
 
@@ -374,7 +344,7 @@ def _scans(recording: Recording, passes: ScanPasses, topomap: TopoMap, track: Ro
         write_grid(recording, (*MAP, "scans", "walls"), walls)
     if len(passes) == 0:
         return
-    sure = (passes.confidence > SURE)[:, None]
+    sure = (passes.confidence > SURE).tolist()
     values = {
         "seen": np.arange(len(passes)),
         "confidence": passes.confidence,
@@ -385,10 +355,10 @@ def _scans(recording: Recording, passes: ScanPasses, topomap: TopoMap, track: Ro
     recording.dots(
         (*MAP, "scans", "junctions"),
         apply(track.at(passes.time_ns), passes.centre),
-        palette.Order.TIE,
+        Order.TIE,
+        [DARK["violet" if own else "doubtful"] for own in sure],
         values,
-        radii=rr.Radius.ui_points(2.5),
-        colors=np.where(sure, palette.DETECTION, palette.DOUBTFUL).astype(np.uint8),
+        radii=rr.Radius.ui_points(SMALL),
     )
 
 

@@ -10,38 +10,29 @@ import rerun.blueprint as rrb
 
 from ..merge.result import FusedMap, MergeResult, site_views
 from ..topology.arrays import FloatArray
-from ..topology.columns import take
 from ..topology.driven_branches import driven_branches
 from ..topology.run import Grid
 from ..topology.se2 import apply
 from ..topology.topomap import TopoMap
 from ..topology.turning_vertices import with_turning_points
-from . import palette
-from .geometry import (
-    LARGE,
-    MEDIUM,
-    SHEET_MARGIN,
-    SMALL,
-    Strand,
-    bounds,
-    contradiction_spots,
-    pen_m,
-    strands,
-)
+from ..topology.wording import MOST_NAMES
+from .geometry import bounds, contradiction_spots, pen_m, strands
 from .pages import merge_page
+from .palette import DARK, LARGE, MEDIUM, SMALL, Colour, Order
 from .parts import Part, colours_of, lay_out
 from .recording import (
     UP,
     PathParts,
     Recording,
     blueprint,
-    corridor_attributes,
     map_view,
     markdown,
     placed,
     write_branches,
     write_cards,
+    write_corridors,
     write_grid,
+    write_junctions,
     write_recording,
 )
 from .sheet import Cell, corners_of
@@ -56,22 +47,21 @@ FUSED, RUNS = "map", "runs"
 def write_merged_recording(path: Path, result: MergeResult, maps: Sequence[TopoMap]) -> None:
     """Write the recording of a merge, `merged.rrd`, atomically.
 
-    maps: of every run in the result, in any order. Raises ValueError if one is missing or two share
-    a name, OSError if the file cannot be written.
+    maps: of every run in the result, in any order. Raises OSError if the file cannot be
+    written.
     """
-    by_name = _by_name(result, maps)
+    by_name = {m.run: with_turning_points(m) for m in maps}
     colours = colours_of(result)
-    pen = pen_m([result.fused])
+    pen = pen_m(result.fused)
 
     def fill(recording: Recording) -> rrb.Blueprint:
         walls = _walls_by_component(result, by_name)
         to_hold = {c: wall_points(grid) for c, grid in walls.items()}
-        parts = lay_out(result, to_hold, aside=NAMES_ASIDE)
+        parts = lay_out(result, to_hold)
         sheet = [part.cell for part in parts]
         for root in (FUSED, RUNS):
             recording.static((root,), UP)
-            titles = [part.titles for part in parts] if len(parts) > 1 else []
-            write_cards(recording, root, sheet, titles)
+            write_cards(recording, root, sheet, [part.title for part in parts])
             for part in parts:
                 recording.static((root, part.name), placed(part.cell.T_sheet_map))
         free, home = ~driven_branches(result.fused), result.fused.component
@@ -79,7 +69,7 @@ def write_merged_recording(path: Path, result: MergeResult, maps: Sequence[TopoM
         for part in parts:
             _ribbons(recording, result.fused, part, colours, pen)
             path, own = (FUSED, part.name, "branches never driven"), home == part.component.id
-            write_branches(recording, path, result.fused, free & own, pen=pen, colors=palette.FAINT)
+            write_branches(recording, path, result.fused, free & own, colour=DARK["faint"], pen=pen)
             _junctions(recording, result.fused, part, pen)
             if part.component.id in walls:
                 write_grid(recording, (FUSED, part.name, "walls"), walls[part.component.id])
@@ -88,28 +78,16 @@ def write_merged_recording(path: Path, result: MergeResult, maps: Sequence[TopoM
                 recording.static(own, placed(pose))
                 _own_map(recording, own, by_name[run], colours[run], pen)
         _contradictions(recording, result, by_name, parts, pen)
-        _run_names(recording, parts, colours)
+        _run_names(recording, result.fused, parts, colours)
         recording.static(("summary",), markdown(merge_page(result)))
         return _blueprint(sheet)
 
     write_recording(path, RECORDING_ID, fill)
 
 
-def _by_name(result: MergeResult, maps: Sequence[TopoMap]) -> dict[str, TopoMap]:
-    """The maps of the runs of a merge, by name; ValueError if one is missing or there twice."""
-    by_name = {m.run: m for m in maps}
-    if len(by_name) < len(maps):
-        raise ValueError("two maps have the same run name")
-    needed = {run for component in result.components for run in component.poses}
-    missing = sorted(needed - set(by_name))
-    if missing:
-        raise ValueError(f"the map of run {missing[0]!r} is missing ({len(missing)} in all)")
-    return {run: with_turning_points(by_name[run]) for run in sorted(needed)}
-
-
 def _blueprint(sheet: list[Cell]) -> rrb.Blueprint:
     """The fused map and those of the runs, beside them the summary."""
-    low, high = bounds([corners_of(sheet)], margin=SHEET_MARGIN)
+    low, high = bounds([corners_of(sheet)])
     maps = [map_view([root], name, low, high) for root, name in ((FUSED, "Map"), (RUNS, "Runs"))]
     summary = rrb.TextDocumentView(origin="/summary", name="Summary")
     root = rrb.Horizontal(
@@ -119,29 +97,23 @@ def _blueprint(sheet: list[Cell]) -> rrb.Blueprint:
 
 
 def _run_names(
-    recording: Recording, parts: Sequence[Part], colours: Mapping[str, palette.Colour]
+    recording: Recording, fused: FusedMap, parts: Sequence[Part], colours: Mapping[str, Colour]
 ) -> None:
-    """Write the names of the runs of each site in their colours, one below the other."""
+    """Write the names of the runs of each site in their colours, each amid the longest corridor
+    that it drove and that has no name yet."""
     runs, at = [], []
     for part in parts:
         own = sorted(part.component.poses)
-        (left, low), (right, high) = part.cell.low, part.cell.high
-        if 1 < len(own) <= MOST_NAMES:
-            runs += own
-            x = left + NAMES_SHARE * (right - left)
-            at += [(x, y) for y in np.linspace(high, low, len(own) + 2)[1:-1]]
+        longest = sorted(part.edges.tolist(), key=lambda e: -fused.length[e])
+        for run in own if 1 < len(own) <= MOST_NAMES else ():
+            drove = (e for e in longest if any(run == who for who, _ in fused.edge_members[e]))
+            if (edge := next(drove, None)) is not None:
+                longest.remove(edge)
+                runs.append(run)
+                at.append(apply(part.cell.T_sheet_map, fused.paths[edge].mean(axis=0)))
     if runs:
         recording.words((FUSED, "names"), at, runs, [colours[run] for run in runs])
 
-
-MOST_NAMES, NAMES_ASIDE, NAMES_SHARE = 16, 0.15, 0.1
-"""Sites of up to so many runs have these named: room for that, over the width of their map, and
-where in their cell, over its width."""
-
-
-MOST_VIEWS = 5000
-"""Views that are laid over each other, a millisecond each; of more every second, third … is, which
-still overlap."""
 
 MOST_CELLS = 1 << 24
 """Cells of the walls of all components together, 50 MB in the viewer; with more they are larger."""
@@ -151,11 +123,9 @@ def _walls_by_component(result: MergeResult, maps: Mapping[str, TopoMap]) -> dic
     """The walls and the free space that all runs of a component saw, in its frame, by its id; none
     of components without any."""
     seen = {c.id: site_views(result.fused, c, maps) for c in result.components}
-    every = -(-sum(len(v) for own in seen.values() for v in own) // MOST_VIEWS)
-    thinned = {c: [take(v, slice(None, None, every)) for v in own] for c, own in seen.items()}
     cell_m = FINE_M
     while True:
-        laid = {c: walls_of(own, "", cell_m) for c, own in thinned.items()}
+        laid = {c: walls_of(own, "", cell_m) for c, own in seen.items()}
         grids = {c: grid for c, grid in laid.items() if grid is not None}
         if sum(grid.free.size for grid in grids.values()) <= MOST_CELLS:
             return grids
@@ -163,59 +133,42 @@ def _walls_by_component(result: MergeResult, maps: Mapping[str, TopoMap]) -> dic
 
 
 def _ribbons(
-    recording: Recording,
-    fused: FusedMap,
-    part: Part,
-    colours: Mapping[str, palette.Colour],
-    pen: float,
+    recording: Recording, fused: FusedMap, part: Part, colours: Mapping[str, Colour], pen: float
 ) -> None:
     """Write each corridor as parallel lines of the runs that drove it."""
-    of_run: dict[str, list[Strand]] = {}
-    for strand in strands(fused, part.edges, pen):
-        of_run.setdefault(strand.run, []).append(strand)
+    of_run: dict[str, dict[int, FloatArray]] = {}
+    widths: dict[str, list[float]] = {}
+    for (run, pens), own in strands(fused, part.edges, pen).items():
+        of_run.setdefault(run, {}).update(own)
+        widths.setdefault(run, []).extend([pens * pen] * len(own))
     for run, own in of_run.items():
-        edges = np.array([strand.edge for strand in own])
-        drove = [sorted({run for run, _ in fused.edge_members[e]}) for e in edges.tolist()]
-        recording.lines(
-            (FUSED, part.name, "corridors", run),
-            [strand.path for strand in own],
-            palette.Order.CORRIDOR,
-            corridor_attributes(fused, edges) | {"driven_by": [", ".join(runs) for runs in drove]},
-            radii=[pen * strand.share / 2 for strand in own],
-            colors=colours[run],
+        drove = [", ".join(sorted({who for who, _ in fused.edge_members[e]})) for e in own]
+        write_corridors(
+            *(recording, (FUSED, part.name, "corridors", run), fused, own),
+            colours=colours[run],
+            pens=widths[run],
+            more={"driven_by": drove},
         )
 
 
 def _junctions(recording: Recording, fused: FusedMap, part: Part, pen: float) -> None:
     """Write the junctions of the fused map: white if several runs saw it, else grey."""
     rows = part.vertices
-    if len(rows) == 0:
-        return
     members = [fused.members[i] for i in rows.tolist()]
-    several = np.array([len(runs) > 1 for runs in members])
+    several = [len(runs) > 1 for runs in members]
     values = {
-        "vertex": rows,
-        "kind": [fused.kind[i] for i in rows.tolist()],
-        "branches": fused.branches.counts[rows],
         "runs": np.array([len(runs) for runs in members]),
-        "fused_from": [_describe_members(runs) for runs in members],
+        "fused_from": [
+            "; ".join(f"{run}: {', '.join(map(str, own))}" for run, own in sorted(runs.items()))
+            for runs in members
+        ],
         "passes": np.array([len(fused.observations[i]) for i in rows.tolist()]),
     }
-    recording.dots(
-        (FUSED, part.name, "junctions"),
-        fused.xy[rows],
-        palette.Order.JUNCTION,
-        values,
-        radii=pen * np.where(several, LARGE, MEDIUM),
-        colors=np.where(several[:, None], palette.WHITE, palette.SINGLE).astype(np.uint8),
-        labels=list(map(str, rows.tolist())),
-        show_labels=False,
-    )
-
-
-def _describe_members(members: Mapping[str, tuple[int, ...]]) -> str:
-    return "; ".join(
-        f"{run}: {', '.join(map(str, vertices))}" for run, vertices in sorted(members.items())
+    write_junctions(
+        *(recording, (FUSED, part.name, "junctions"), fused, rows),
+        colours=[DARK["ink" if own else "single"] for own in several],
+        sizes=pen * np.where(several, LARGE, MEDIUM),
+        more=values,
     )
 
 
@@ -240,27 +193,12 @@ def _contradictions(
         if spots:
             path, at = (FUSED, name, "contradictions"), [xy for xy, _ in spots]
             values = {"contradiction": [words for _, words in spots]}
-            look = {"radii": LARGE * pen, "colors": palette.REFUSED}
-            recording.dots(path, at, palette.Order.CONTRADICTION, values, **look)
+            look = {"radii": LARGE * pen / 2}
+            recording.dots(path, at, Order.CONTRADICTION, DARK["against"], values, **look)
 
 
-def _own_map(
-    recording: Recording, path: PathParts, m: TopoMap, colour: palette.Colour, pen: float
-) -> None:
+def _own_map(recording: Recording, path: PathParts, m: TopoMap, colour: Colour, pen: float) -> None:
     """Write a run's own map below its entity path, in its own frame and in one colour."""
-    if len(m.source):
-        values = corridor_attributes(m, np.arange(len(m.source)))
-        look = {"radii": pen / 2, "colors": colour}
-        recording.lines((*path, "corridors"), m.paths, palette.Order.CORRIDOR, values, **look)
-    if len(m):
-        values = {"vertex": np.arange(len(m)), "kind": list(m.kind), "branches": m.degree}
-        recording.dots(
-            (*path, "junctions"),
-            m.xy,
-            palette.Order.JUNCTION,
-            values,
-            radii=SMALL * pen,
-            colors=colour,
-            labels=[*map(str, range(len(m)))],
-            show_labels=False,
-        )
+    lines, rows = dict(enumerate(m.paths)), np.arange(len(m))
+    write_corridors(recording, (*path, "corridors"), m, lines, colours=colour, pens=pen)
+    write_junctions(*(recording, (*path, "junctions"), m, rows), colours=colour, sizes=SMALL * pen)

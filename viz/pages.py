@@ -28,7 +28,7 @@ at first): two junctions that were not taken for one.
 Thin tracks: the odometry as recorded (**grey**) and as corrected (**dark green**). **White**: the
 robot at the cursor, behind it its last minute (**bright green**). **Violet** dots: raw detections,
 a star of branches at the cursor; or junctions that scans show, dull where variants of the detector
-do not agree. Under the map: walls that the laser saw (**slate**), or the grid that the
+do not agree. Under the map: walls that the laser saw (**dark grey**), or the grid that the
 map was made from.
 
 Drag the time line below: the robot drives. Point at anything for what is known about it, or select
@@ -41,8 +41,8 @@ MERGE_LEGEND = """\
 **Map**: every corridor is a ribbon with one strand for each run that drove it, in the colour of
 its name; junctions seen by several runs are white, others grey. **Red** dots:
 where joined runs contradict each other. Under the map: what the lasers of all runs saw, walls
-**slate**, free space a little brighter than what is not known. Short strokes: branches that nobody
-drove. **Runs**: each run's own map, laid into its component.
+**dark grey**, free space a little brighter than what is not known. Short strokes: branches that
+nobody drove. **Runs**: each run's own map, laid into its component.
 
 The verdict on every pair of runs, with its evidence: `topobatch report`.
 

@@ -1,30 +1,36 @@
-"""Colours for the viewer's dark background, for drawings and the report, and the drawing order."""
+"""The style of all pictures: colours on light and on dark paper, sizes in pens, and what lies above
+what in the viewer."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum, auto
+from types import MappingProxyType
 
-import numpy as np
+Colour = str
+"""#rrggbb"""
 
-Colour = tuple[int, int, int]
+SMALL, MEDIUM, LARGE, RING = 2, 3, 4, 6
+"""Sizes of marks in pens, the widths of a corridor's line: of a vertex of little weight, of a
+junction, of one of many branches or runs, and of a ring round it. Bands under corridors, for what
+is said of them, are as wide as a ring."""
+
+THIN = 0.5
+"""Width of a line that is no corridor, in pens."""
 
 
 class Order(IntEnum):
-    """Drawing order, lowest first."""
+    """Drawing order in the viewer, lowest first."""
 
     CARD = auto()
     GRID = auto()
-    WALL = auto()
     CLOSURE = auto()
     RECORDED = auto()
     CORRECTED = auto()
     SIGHTING = auto()
-    EVIDENCE = auto()
     CORRIDOR = auto()
     UNEXPLORED = auto()
-    RING = auto()
     JUNCTION = auto()
     TIE = auto()
     CONTRADICTION = auto()
@@ -33,130 +39,87 @@ class Order(IntEnum):
     WORDS = auto()
 
 
-# RGB, chosen by eye on the viewer's dark background.
-BACKGROUND = (15, 17, 21)
-CARD = (44, 49, 58)
-TITLE = (214, 219, 226)
-DIM = (112, 120, 133)
-FAINT = (74, 80, 91)
-SINGLE = (150, 157, 168)
-WHITE = (245, 247, 250)
-CORRIDOR = (98, 138, 186)
-RAW = (82, 87, 97)
-UNEXPLORED = (255, 178, 66)
-REFUSED = (235, 87, 87)
-ROBOT = (255, 255, 255)
-TRAIL = (120, 235, 190)
-CLOSED = (44, 128, 78)
-TRACK = (52, 108, 96)
-DETECTION = (196, 150, 235)
-DOUBTFUL = (106, 84, 126)
-WALL = (66, 76, 94)
-UNLIT = (31, 35, 42)
-
-
-DEGREES = np.array(
-    [
-        (140, 146, 156),  # 0: nothing seen leaving
-        (240, 105, 125),  # 1: dead end
-        (150, 158, 170),  # 2: bend
-        (92, 178, 255),  # 3
-        (122, 222, 140),  # 4
-        (206, 147, 255),  # 5 and more
-    ],
-    np.uint8,
-)
-
-_RUNS: tuple[tuple[Colour, str], ...] = (
-    ((80, 165, 250), "#1f77d0"),
-    ((255, 160, 60), "#e07b00"),
-    ((52, 205, 140), "#12934f"),
-    ((244, 110, 186), "#d1359c"),
-    ((248, 230, 90), "#a88400"),
-    ((160, 128, 255), "#6741d9"),
-    ((84, 226, 232), "#0c8599"),
-    ((240, 82, 92), "#c92a2a"),
-    ((170, 215, 70), "#5c940d"),
-    ((214, 178, 140), "#8d6748"),
-)
-"""Colours of the first ten runs, on dark and on light paper: easy to tell apart."""
-
-_MORE = (
+_HUES = ("blue", "orange", "green", "pink", "yellow", "violet", "cyan", "red", "lime", "brown")
+_RUNS = (
+    "#1f77d0 #e07b00 #12934f #d1359c #a88400 #6741d9 #0c8599 #c92a2a #5c940d #8d6748 "
     "#4b5a2d #c396a5 #694b78 #96a587 #00695a #ff785a #963c00 #874b4b #785a00 #9687c3 "
     "#006900 #00a5d2 #5aa596 #e178f0 #a5a54b #3c5a5a #a52d5a #f03c00 #ff7896 #695a5a "
     "#968778 #b47869 #697800 #a56996 #695a3c #962d96 #0f6987 #b4692d #5a5aa5 #4b785a"
 )
-"""Colours of further runs on light paper; on dark they are a quarter nearer to white. Each is
-farthest by CIEDE2000 on either paper from those before it and from _INKS (Glasbey et al. 2007), of
-those with a contrast of 2.5 on both papers, on dark 4.5: no two of all forty differ by less than
-10.5; of the first ten two differ by 13.2."""
+"""Colours of runs on light paper, the first ten named; on dark they are a quarter nearer to white.
+Each is farthest by CIEDE2000 on either paper from those before it (Glasbey et al. 2007): no two of
+all forty differ by less than 10, on dark 8."""
+
+_INKS: Mapping[str, str | float] = MappingProxyType(
+    {
+        "agrees": "green",
+        "against": "red",
+        "unexplored": "violet",
+        "planned": "pale violet",
+        "at times": "orange",
+        "track": "pale green",
+        "doubtful": "pale violet",
+        "degree 1": "red",
+        "degree 3": "blue",
+        "degree 4": "green",
+        "degree 5": "violet",
+        # Greys: shares of ink on the paper.
+        "paper": 0,
+        "unlit": 1 / 16,
+        "card": 1 / 8,
+        "wall": 1 / 4,
+        "faint": 3 / 8,
+        "dim": 1 / 2,
+        "degree 0": 1 / 2,
+        "degree 2": 1 / 2,
+        "single": 5 / 8,
+        "ink": 1,
+    }
+)
 
 
-_INKS = {
-    "paper": ("#ffffff", BACKGROUND),
-    "ink": ("#1b1f24", TITLE),
-    "dim": ("#8a929c", DIM),
-    "card": ("#dde1e6", CARD),
-    "corridor": ("#6c93c2", CORRIDOR),
-    "single": ("#7b8490", SINGLE),
-    "shared": ("#1b1f24", WHITE),
-    "unexplored": ("#7c3aed", (178, 132, 255)),
-    "planned": ("#cdb8fb", (84, 52, 150)),
-    "agrees": ("#1f9d55", (72, 199, 116)),
-    "against": ("#d43a3a", REFUSED),
-    "degree 0": ("#8b929b", DEGREES[0]),
-    "degree 1": ("#d6304f", DEGREES[1]),
-    "degree 2": ("#8b929b", DEGREES[2]),
-    "degree 3": ("#1f78d1", DEGREES[3]),
-    "degree 4": ("#1f9d55", DEGREES[4]),
-    "degree 5": ("#8e44cf", DEGREES[5]),
-    "wall": ("#c9ced6", WALL),
-}
-"""Named colours besides those of runs: in the light and in the dark theme."""
-
-
-def rgb(colour: str) -> Colour:
-    """The colour of #rrggbb."""
+def rgb(colour: Colour) -> tuple[int, int, int]:
+    """Red, green and blue of a colour, to 255."""
     red, green, blue = bytes.fromhex(colour[1:])
     return red, green, blue
 
 
-def _hex(colour: Iterable[int]) -> str:
-    return "#{:02x}{:02x}{:02x}".format(*colour)
+def mixed(one: Colour, other: Colour, share: float) -> Colour:
+    """A colour between two: `share` of the first one."""
+    both = zip(rgb(one), rgb(other), strict=True)
+    return "#{:02x}{:02x}{:02x}".format(*(round(share * x + (1 - share) * y) for x, y in both))
 
 
 @dataclass(frozen=True, slots=True)
 class Theme:
-    """Colours as #rrggbb: the named ones of _INKS, and one for each rank of a run."""
+    """Colours for one paper: its own, that of text, and one for each rank of a run."""
 
-    inks: Mapping[str, str]
-    runs: Sequence[str]
+    paper: Colour
+    ink: Colour
+    runs: Sequence[Colour]
 
-    def run(self, rank: int) -> str:
+    def run(self, rank: int) -> Colour:
         """The colour of a run by its rank among those drawn together, from 0; after forty they
         come again."""
         return self.runs[rank % len(self.runs)]
 
-    def pale(self, rank: int) -> str:
-        """The colour of a run's walls: half-way from its own to the paper."""
-        both = zip(rgb(self.run(rank)), rgb(self["paper"]), strict=True)
-        return _hex((x + y) // 2 for x, y in both)
+    def pale(self, colour: Colour) -> Colour:
+        """A colour half-way to the paper, as that of a run's walls."""
+        return mixed(colour, self.paper, 0.5)
 
-    def __getitem__(self, ink: str) -> str:
-        return self.inks[ink]
+    def __getitem__(self, ink: str) -> Colour:
+        """A colour by what it is for (`_INKS`), or by its hue."""
+        what = _INKS.get(ink, ink)
+        if isinstance(what, (int, float)):
+            return mixed(self.ink, self.paper, what)
+        hue = self.runs[_HUES.index(what.removeprefix("pale "))]
+        return self.pale(hue) if what.startswith("pale ") else hue
 
 
-LIGHT = Theme(
-    {name: light for name, (light, _) in _INKS.items()},
-    [light for _, light in _RUNS] + _MORE.split(),
-)
-DARK = Theme(
-    {name: _hex(dark) for name, (_, dark) in _INKS.items()},
-    [
-        *(_hex(dark) for dark, _ in _RUNS),
-        *(_hex((3 * part + 255) // 4 for part in rgb(light)) for light in _MORE.split()),
-    ],
-)
+LIGHT = Theme("#ffffff", "#1b1f24", _RUNS.split())
+DARK = Theme("#0f1115", "#d6dbe2", [mixed(own, "#ffffff", 0.75) for own in LIGHT.runs])
+BOTH = Theme(LIGHT.paper, LIGHT["single"], LIGHT.runs)
+"""For what is seen on either paper: text has a contrast of 4 or more on both, greys 2.4."""
 
 THEMES = {"light": LIGHT, "dark": DARK}
 """The themes by the names that commands have for them."""

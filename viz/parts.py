@@ -12,27 +12,19 @@ from numpy.typing import NDArray
 
 from ..merge.result import Component, MergeResult, PairVerdict, Standing
 from ..topology.arrays import FloatArray, IntArray
-from ..topology.se2 import apply, inverse
-from ..topology.wording import counted
 from . import palette
-from .geometry import MIN_SIDE_M, bounds
 from .sheet import Cell, arrange, upright_rad
-
-MARGIN, ALONE_MARGIN = 0.18, 0.04
-"""Margin of a cell over the median map's extent: with room for a title, and for a single map, which
-has none."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Part:
-    """A component and its place on the sheet. vertices, edges: its rows in the fused map;
-    junctions: count of its vertices without turning points."""
+    """A component and its place on the sheet. vertices, edges: its rows in the fused
+    map."""
 
     component: Component
     cell: Cell
     vertices: IntArray
     edges: IntArray
-    junctions: int
 
     @property
     def name(self) -> str:
@@ -40,14 +32,10 @@ class Part:
         return f"component_{self.component.id}"
 
     @property
-    def titles(self) -> tuple[str, ...]:
-        """Forms of its title, longest first."""
+    def title(self) -> str:
+        """Its site and how many runs it has, or its only run."""
         runs = list(self.component.poses)
-        if len(runs) == 1:
-            return (runs[0],)
-        site = self.component.name
-        short = f"{site}: {len(runs)} runs"
-        return (f"{short} merged, {counted(self.junctions, 'junction')}", short, site)
+        return runs[0] if len(runs) == 1 else f"{self.component.name}: {len(runs)} runs"
 
 
 def in_order(result: MergeResult) -> list[Component]:
@@ -59,11 +47,9 @@ def lay_out(
     result: MergeResult,
     to_hold: Mapping[int, FloatArray],
     shown: Collection[int] | None = None,
-    aside: float = 0.0,
 ) -> list[Part]:
     """Components on one sheet, `in_order`: all, or those with the ids `shown`. to_hold: points
-    (k, 2) that the cell of a component, by its id, is to hold beside its map [m]; aside: room at
-    the left of those of several runs, over their width."""
+    (k, 2) that the cell of a component, by its id, is to hold beside its map [m]."""
     fused = result.fused
     order = [c for c in in_order(result) if shown is None or c.id in shown]
     of_edge = fused.component[fused.source] if len(fused.source) else np.zeros(0, np.int64)
@@ -74,19 +60,8 @@ def lay_out(
         for c, rows, lines in zip(order, vertices, paths, strict=True)
     ]
     turns = [upright_rad(p) for p in paths]
-    for k, c in enumerate(order):
-        if aside and len(c.poses) > 1:
-            upright = np.array([0.0, 0.0, turns[k]])
-            low, high = bounds([apply(upright, points[k])], margin=0.0)
-            left = apply(inverse(upright), [low[0] - aside * (high[0] - low[0]), low[1]])
-            points[k] = np.concatenate([points[k], left[None]])
-    share = MARGIN if len(order) > 1 else ALONE_MARGIN
-    extents = [float(np.ptp(p, axis=0).max()) for p in points if len(p)]
-    usual_m = max(float(np.median(extents)) if extents else 0.0, MIN_SIDE_M)
-    cells = arrange(points, turns, share * usual_m)
-    junction = ~fused.is_turned
-    places = [int(junction[rows].sum()) for rows in vertices]
-    return [Part(*row) for row in zip(order, cells, vertices, edges, places, strict=True)]
+    cells = arrange(points, turns)
+    return [Part(*row) for row in zip(order, cells, vertices, edges, strict=True)]
 
 
 def rows_of(owner: IntArray, wanted: list[int]) -> list[IntArray]:
@@ -101,11 +76,13 @@ def ranks(result: MergeResult) -> dict[str, int]:
     return {run: k for c in result.components for k, run in enumerate(sorted(c.poses))}
 
 
-def colours_of(result: MergeResult) -> dict[str, palette.Colour]:
-    """The viewer's colour of each run; runs that merged with none are grey."""
+def colours_of(
+    result: MergeResult, theme: palette.Theme = palette.DARK
+) -> dict[str, palette.Colour]:
+    """The colour of each run, the viewer's by default; runs that merged with none are grey."""
     rank = ranks(result)
     return {
-        run: palette.rgb(palette.DARK.run(rank[run])) if len(c.poses) > 1 else palette.SINGLE
+        run: theme.run(rank[run]) if len(c.poses) > 1 else theme["single"]
         for c in result.components
         for run in c.poses
     }

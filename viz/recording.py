@@ -16,13 +16,14 @@ import rerun.blueprint as rrb
 import rerun_bindings
 from PIL import Image
 
+from ..merge.decision_text import short
 from ..topology.arrays import BoolArray, FloatArray, IntArray
 from ..topology.files import write_atomically
 from ..topology.run import Grid
 from ..topology.topomap import Graph
-from . import palette
 from .geometry import branch_arrows
-from .sheet import ASPECT, Cell, corners_of, fitting, outline
+from .palette import DARK, THIN, Colour, Order, rgb
+from .sheet import ASPECT, Cell, corners_of, outline
 
 APPLICATION_ID = "topobatch"
 
@@ -32,7 +33,7 @@ CLOCKS = ("message_log_time", "ros2_timestamp")
 UP = rr.Transform3D(mat3x3=[[1, 0, 0], [0, -1, 0], [0, 0, 1]])
 """Mirrors y: it points down in the viewer's 2D views."""
 
-HAIR = rr.Radius.ui_points(0.75)
+HAIR = rr.Radius.ui_points(THIN)
 """The thinnest line that is visible on every screen [points]."""
 
 PathParts = tuple[str, ...]
@@ -61,29 +62,38 @@ class Recording:
         self,
         path: PathParts,
         xy: FloatArray | Sequence[Any],
-        order: palette.Order,
+        order: Order,
+        colours: Colour | Sequence[Colour],
         values: Mapping[str, Any] = NOTHING,
         **look: Any,
     ) -> None:
-        """Log points (n, 2) without a time. values: of each,
+        """Log points (n, 2) without a time, in one colour or one each. values: of each,
         by component; look: of rerun's Points2D."""
-        self.static(path, rr.Points2D(xy, draw_order=order, **look), *_any_values(values))
+        shape = rr.Points2D(xy, colors=_rgbs(colours), draw_order=order, **look)
+        self.static(path, shape, *_any_values(values))
 
-    def words(self, path: PathParts, xy: Sequence[Any], texts: Sequence[str], colours: Any) -> None:
-        """Log texts at points (n, 2) without a time, in one colour or a colour each."""
-        look = {"radii": 0.0, "colors": colours, "labels": texts, "show_labels": True}
-        self.dots(path, xy, palette.Order.WORDS, **look)
+    def words(
+        self,
+        path: PathParts,
+        xy: Sequence[Any],
+        texts: Sequence[str],
+        colours: Colour | Sequence[Colour],
+    ) -> None:
+        """Log texts at points (n, 2) without a time, in one colour or one each."""
+        self.dots(path, xy, Order.WORDS, colours, radii=0.0, labels=texts, show_labels=True)
 
     def lines(
         self,
         path: PathParts,
         lines: Sequence[FloatArray],
-        order: palette.Order,
+        order: Order,
+        colours: Colour | Sequence[Colour],
         values: Mapping[str, Any] = NOTHING,
         **look: Any,
     ) -> None:
-        """Log polylines, (k, 2) each, without a time. values, look: as of `dots`."""
-        shape = rr.LineStrips2D.from_fields(strips=_strips(lines), draw_order=order, **look)
+        """Log polylines, (k, 2) each, without a time. colours, values, look: as of `dots`."""
+        look |= {"colors": _rgbs(colours), "draw_order": order}
+        shape = rr.LineStrips2D.from_fields(strips=_strips(lines), **look)
         self.static(path, shape, *_any_values(values))
 
     def over_time(self, path: PathParts, time_ns: IntArray, columns: Iterable[Any]) -> None:
@@ -155,11 +165,15 @@ def _strict() -> Iterator[None]:
         rr.set_strict_mode(before)
 
 
-def placed(T_parent_child: FloatArray) -> rr.Transform3D:
-    """A planar transform for everything below an entity."""
+def placed(T_parent_child: FloatArray, scale: float | None = None) -> rr.Transform3D:
+    """A planar transform for everything below an entity, that may be scaled."""
     x, y, theta = T_parent_child
     turn = rr.RotationAxisAngle([0, 0, 1], radians=float(theta))
-    return rr.Transform3D(translation=[x, y, 0.0], rotation=turn)
+    return rr.Transform3D(translation=[x, y, 0.0], rotation=turn, scale=scale)
+
+
+def _rgbs(colours: Colour | Sequence[Colour]) -> list[tuple[int, int, int]]:
+    return [*map(rgb, [colours] if isinstance(colours, str) else colours)]
 
 
 def _any_values(values: Mapping[str, Any]) -> list[rr.AnyValues]:
@@ -188,7 +202,7 @@ def map_view(
         origin="/",
         contents=[f"/{root}/**" for root in roots],
         name=name,
-        background=palette.BACKGROUND,
+        background=rgb(DARK.paper),
         # The view's y points down, the map's up.
         visual_bounds=rrb.VisualBounds2D(x_range=[low[0], high[0]], y_range=[-high[1], -low[1]]),
         overrides=overrides or {},
@@ -211,37 +225,79 @@ TITLE_LETTERS = 150
 """Letters across a view of typical width."""
 
 
-def write_cards(
-    recording: Recording, root: str, cells: list[Cell], titles: Sequence[Sequence[str]]
+def write_cards(recording: Recording, root: str, cells: list[Cell], titles: Sequence[str]) -> None:
+    """Write a frame for each of several cells, and its title, shortened to fit."""
+    if len(cells) < 2:
+        return
+    frames = [outline(cell.low, cell.high) for cell in cells]
+    recording.lines((root, "frames"), frames, Order.CARD, DARK["card"], radii=HAIR)
+    width, height = np.ptp(corners_of(cells), axis=0)
+    letters_per_m = TITLE_LETTERS / max(width, ASPECT * height)
+    tops = [((cell.low[0] + cell.high[0]) / 2, cell.high[1]) for cell in cells]
+    rooms = [max(int((cell.high - cell.low)[0] * letters_per_m), 1) for cell in cells]
+    shown = [short(title, room) for title, room in zip(titles, rooms, strict=True)]
+    recording.words((root, "titles"), tops, shown, DARK.ink)
+
+
+def write_corridors(
+    recording: Recording,
+    path: PathParts,
+    graph: Graph,
+    lines: Mapping[int, FloatArray],
+    *,
+    colours: Colour | Sequence[Colour],
+    pens: float | Sequence[float],
+    more: Mapping[str, Any] = NOTHING,
 ) -> None:
-    """Write a frame for each of several cells, and its title: the first that fits of the given
-    forms, longest first. `titles` may be empty."""
-    if len(cells) > 1:
-        frames = [outline(cell.low, cell.high) for cell in cells]
-        order = palette.Order.CARD
-        recording.lines((root, "frames"), frames, order, radii=HAIR, colors=palette.CARD)
-    width, height = np.ptp(corners_of(cells), axis=0) if cells else np.zeros(2)
-    seen_m = max(float(width), ASPECT * float(height))
-    shown = []
-    for cell, forms in zip(cells, titles, strict=False):
-        (x0, _), (x1, top) = cell.low, cell.high
-        title = fitting(forms, int((x1 - x0) / seen_m * TITLE_LETTERS))
-        shown += [(((x0 + x1) / 2, top), title)] if title else []
-    if shown:
-        tops, titled = zip(*shown, strict=True)
-        recording.words((root, "titles"), tops, titled, palette.TITLE)
-
-
-def corridor_attributes(graph: Graph, edges: IntArray) -> dict[str, Any]:
-    """The attributes of corridors."""
+    """Write corridors with their attributes and `more`; no entity without any. lines: of each its
+    polyline (k, 2), by its number; pens: width of all lines or of each [m]."""
+    if not lines:
+        return
+    edges = np.array([*lines])
     ends = zip(graph.source[edges].tolist(), graph.target[edges].tolist(), strict=True)
-    return {
+    values = {
         "corridor": edges,
         "between": [f"{u} - {v}" for u, v in ends],
         "length_m": graph.length[edges],
         "length_sigma_m": graph.length_sigma[edges],
         "traversals": graph.traversals[edges],
     }
+    shown = [*lines.values()]
+    recording.lines(
+        path, shown, Order.CORRIDOR, colours, {**values, **more}, radii=np.divide(pens, 2)
+    )
+
+
+def write_junctions(
+    recording: Recording,
+    path: PathParts,
+    graph: Graph,
+    rows: IntArray,
+    *,
+    colours: Colour | Sequence[Colour],
+    sizes: float | FloatArray,
+    more: Mapping[str, Any] = NOTHING,
+    numbered: bool = False,
+) -> None:
+    """Write vertices with their attributes and `more`; no entity without any. sizes: of all or of
+    each [m]; numbered: show their numbers, not only of the one pointed at."""
+    if not len(rows):
+        return
+    values = {
+        "vertex": rows,
+        "kind": [graph.kind[v] for v in rows.tolist()],
+        "branches": graph.branches.counts[rows],
+    }
+    recording.dots(
+        path,
+        graph.xy[rows],
+        Order.JUNCTION,
+        colours,
+        {**values, **more},
+        radii=sizes / 2,
+        labels=[*map(str, rows.tolist())],
+        show_labels=numbered,
+    )
 
 
 def write_branches(
@@ -250,25 +306,22 @@ def write_branches(
     graph: Graph,
     chosen: BoolArray,
     *,
+    colour: Colour,
     pen: float,
-    **look: Any,
 ) -> None:
     """Write an arrow along each of the chosen branches (total branches,); no entity without any.
-    pen: width of a corridor's line [m]; look: of rerun's Arrows2D."""
+    pen: width of a corridor's line [m]."""
     if chosen.any():
-        origins, vectors = branch_arrows(graph, chosen, ARROW_PENS * pen)
+        origins, vectors = branch_arrows(graph, chosen, pen)
         arrows = rr.Arrows2D(
             origins=origins,
             vectors=vectors,
-            radii=pen / 3,
-            draw_order=palette.Order.UNEXPLORED,
-            **look,
+            radii=THIN * pen,
+            draw_order=Order.UNEXPLORED,
+            colors=rgb(colour),
         )
         recording.static(path, arrows)
 
-
-ARROW_PENS = 7.0
-"""Length of a branch's arrow over the width of a corridor's line, longer than a junction's dot."""
 
 MOST_PIXELS = 8192
 """Largest image side that every graphics card takes; larger grids are reduced."""
@@ -286,18 +339,11 @@ def write_grid(recording: Recording, path: PathParts, grid: Grid) -> None:
         starts = np.arange(0, shade.shape[axis], step)
         shade = np.maximum.reduceat(shade, starts, axis=axis)
     picture = Image.fromarray(shade)
-    picture.putpalette([*palette.BACKGROUND, *palette.UNLIT, *palette.WALL])
+    picture.putpalette([*rgb(DARK.paper), *rgb(DARK["unlit"]), *rgb(DARK["wall"])])
     png = BytesIO()
     picture.convert("RGB").save(png, "PNG")
-    x, y, yaw = grid.origin
     recording.static(
         path,
-        rr.Transform3D(
-            translation=[x, y, 0.0],
-            rotation=rr.RotationAxisAngle([0, 0, 1], radians=yaw),
-            scale=grid.resolution_m * step,
-        ),
-        rr.EncodedImage(
-            contents=png.getvalue(), media_type="image/png", draw_order=palette.Order.GRID
-        ),
+        placed(np.array(grid.origin), grid.resolution_m * step),
+        rr.EncodedImage(contents=png.getvalue(), media_type="image/png", draw_order=Order.GRID),
     )

@@ -23,7 +23,7 @@ function inked(plot) {
     for (const own of ["major_label_text_color", "label_text_color"]) if (own in part) part[own] = ink;
   return plot;
 }
-const INK = "#6f7682";
+const INK = data.ink;
 for (const paper of ["(prefers-color-scheme:dark)", "print"])
   matchMedia(paper).addEventListener("change", () => plots.forEach(plot => plot.then(inked)));
 
@@ -122,26 +122,32 @@ async function site(place) {
   for (const r of plot.renderers) if (r.name) layers.set(r.name, [...layers.get(r.name) ?? [], r]);
   for (const [name, renderers] of layers) {
     const box = made("input", "", {type: "checkbox", checked: true}), label = made("label", "");
+    const {glyph} = renderers[0], mark = made("i", "");
+    const ink = (glyph.fill_color ?? glyph.line_color)?.value;
+    mark.style.background = ink;
     box.onchange = () => renderers.forEach(r => { r.visible = box.checked; });
-    label.append(box, ` ${name}`);
+    label.append(box, " ", ...ink ? [mark] : [], name);
     find(".layers", section).append(label);
   }
-  const junctions = sources.filter(s => s.data.number);
+  const points = sources.filter(s => s.data.x), numbers = plot.renderers.filter(r => r.glyph.text).map(r => r.data_source);
   const choose = (source, k) => sources.forEach(s => { s.selected.indices = s === source ? [k] : []; });
   // A finger is wider than a dot: what is near enough counts as hit.
   plot.on_event("tap", event => setTimeout(() => {
     const metres = NEAR_PX * (plot.x_range.end - plot.x_range.start) / plot.inner_width;
     let best = [metres];
-    for (const s of junctions) s.data.number.forEach((_, k) => {
+    for (const s of points) s.data.x.forEach((_, k) => {
       const away = Math.hypot(s.data.x[k] - event.x, s.data.y[k] - event.y);
       if (away < best[0]) best = [away, s, k];
     });
     if (best[1]) choose(best[1], best[2]);
   }));
   find(".find", section).onchange = event => {
-    const number = +event.target.value, source = junctions.find(s => s.data.number.includes(number));
-    if (!source) return void told.replaceChildren(`No junction ${event.target.value} here.`);
-    const k = source.data.number.indexOf(number), [x, y] = [source.data.x[k], source.data.y[k]], half = 4 * plot.usual;
+    const number = String(+event.target.value), all = s => s.every ?? s.data.text;
+    const named = numbers.find(s => all(s).includes(number));
+    if (!named) return void told.replaceChildren(`No junction ${event.target.value} here.`);
+    const at = all(named).indexOf(number), [x, y] = [named.data.x[at], named.data.y[at]], half = 4 * plot.usual;
+    const is = k => s => s.data.x[k] === x && s.data.y[k] === y;
+    const source = points.find(s => s.data.x.some((_, k) => is(k)(s))), k = source.data.x.findIndex((_, k) => is(k)(source));
     choose(source, k);
     show(plot, [x - half, x + half, y - half, y + half]);
   };
@@ -239,6 +245,11 @@ async function open(i, j) {
     const at = placed[k], drawn = alone ? k === 0 && a.map : at && a.map && b.map;
     figure.hidden = !drawn;
     find(".copy", figure).replaceChildren();
+    find(".views", figure).replaceChildren(...(at?.views ?? []).map(([words, src]) => {
+      const view = made("div", words);
+      view.prepend(made("img", "", {src, alt: ""}));
+      return view;
+    }));
     if (!drawn) continue;
     find("figcaption", figure).replaceChildren();
     if (!alone) {
@@ -294,11 +305,6 @@ async function begin() {
   }
   const least = open_[0] ?? data.pairs.find(p => p.placed);
   await (least ? chosen(least.i, least.j) : n ? chosen(0) : null);
-  if (find("[data-item=time]")) {
-    const plot = await draw(find("[data-item=time]")), source = plot.renderers[0].data_source;
-    source.selected.properties.indices.change.connect(() => {
-      find("#when").textContent = source.selected.indices.map(k => source.data.told[k]).join("; ") || "\u00a0"; });
-  }
   for (const place of rest) await site(place);
   performance.mark("all maps");
   document.documentElement.dataset.drawn = "all";

@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 from bokeh.embed import json_item
-from bokeh.models import ColumnDataSource, FixedTicker
 from bokeh.resources import Resources
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
@@ -25,28 +24,20 @@ from ..merge.decision import Decision
 from ..merge.decision_text import weakest_links
 from ..merge.drive import Drive
 from ..merge.result import Component, MergeResult, Standing, home_of, of_sites, shown_bits
-from ..topology.arrays import FloatArray, IntArray
 from ..topology.made_from import describe_junctions
 from ..topology.topomap import TopoMap
 from ..topology.wording import counted, legible, listed, to_turning_points, utc
 from .pages import minutes
-from .palette import LIGHT
-from .parts import in_order, ranks, runs_in_order
-from .report_maps import CHOSEN, INK, blank_figure, describe_change, site_map
-from .report_pairs import STANDING_COLOURS, matrix_figure, named_axis, page_data, pair_figure
+from .palette import BOTH
+from .parts import colours_of, in_order, runs_in_order
+from .report_maps import site_map
+from .report_pairs import STANDING_COLOURS, matrix_figure, page_data, pair_figure
+from .report_time import time_line
+from .scene import describe_change
 from .sheet import upright_rad
 
 MOST_MAPS = 60
 """Sites that have a map, those of most runs first; a run's own map is there for each."""
-
-SHORTEST = 0.01
-"""A run is at least so long in the time line, over the time of all."""
-
-MS_NS = 1_000_000
-"""Nanoseconds of a millisecond: a run lasts at least so long."""
-
-MOST_TICKS = 4
-"""About so many times stand below the time line, also on a telephone."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,15 +68,17 @@ class Report:
 def report_page(report: Report) -> str:
     """The HTML page. Its template escapes whatever it is given."""
     result, runs = report.result, _ordered_runs(report)
-    sites, time_line = _sites(report), _time_line(report, runs)
+    sites = _sites(report)
     figures = {"pair-a": pair_figure(), "pair-b": pair_figure()}
     figures |= {f"site-{site['id']}": site["figure"] for site in sites}
     if result is not None and len(runs) > 1:
         figures["matrix"] = matrix_figure(result)
-    if time_line is not None:
-        figures["time"] = time_line
-    items = {"runs": page_data(result, runs, report.maps, report.decisions, report.where)}
-    items |= {name: _item(name, figure) for name, figure in figures.items()}
+    given = (result, runs, report.maps, report.decisions, report.where)
+    items = {"runs": page_data(*given, as_merged=report.as_merged)}
+    items |= {name: dict(json_item(figure)) for name, figure in figures.items()}
+    colours = dict.fromkeys(runs, BOTH["single"])
+    if result is not None:
+        colours |= colours_of(result, BOTH)
     counts = {} if result is None else result.standings()
     library = Resources(mode="inline", components=["bokeh"]).js_raw[0]
     script = _file("report.js")
@@ -103,7 +96,7 @@ def report_page(report: Report) -> str:
         legend=[(STANDING_COLOURS[s], str(s), n) for s, n in counts.items() if n],
         need=result and result.threshold_bits and shown_bits(result.threshold_bits),
         runs=runs,
-        time_rows=0 if time_line is None else round(time_line.y_range.start),
+        time=time_line(runs, report.maps, colours),
         timeless=sum(len(m.observation_time_ns) == 0 for m in report.maps.values()),
         health=_health(report, runs),
         locks=report.locks,
@@ -132,24 +125,6 @@ _TEMPLATES = Environment(
 )
 _TEMPLATES.filters["line"] = lambda value: legible(" ".join(str(value).split()))
 _TEMPLATES.policies["json.dumps_kwargs"] = {"separators": (",", ":")}
-
-
-def _item(name: str, plot: Any) -> Any:
-    """A figure as JSON values; its parts are named anew, so that the same figure is the same JSON,
-    whatever a process drew before."""
-    numbers: dict[str, str] = {}
-
-    def renumbered(value: Any) -> Any:
-        if isinstance(value, dict):
-            return {
-                key: numbers.setdefault(part, f"{name}-{len(numbers)}")
-                if key in ("id", "root_id") and isinstance(part, str)
-                else renumbered(part)
-                for key, part in value.items()
-            }
-        return [*map(renumbered, value)] if isinstance(value, list) else value
-
-    return renumbered(json_item(plot))
 
 
 def _digest(script: str) -> str:
@@ -209,7 +184,6 @@ def _sites(report: Report) -> list[dict[str, Any]]:
     result = report.result
     if result is None:
         return []
-    rank = ranks(result)
     begins = {d.component for d in report.drives}
     weakest = weakest_links(result.verdicts, home_of(result.components))
     several, alone = _groups(result)
@@ -221,7 +195,6 @@ def _sites(report: Report) -> list[dict[str, Any]]:
         maps = {run: report.maps[run] for run in runs if report.as_merged and run in report.maps}
         plot = site_map(result, c, maps, report.changes, report.drives)
         wide, high = (r.end - r.start for r in (plot.x_range, plot.y_range))
-        ink = [LIGHT.run(rank[run]) if len(runs) > 1 else INK for run in runs]
         out.append(
             {
                 "id": c.id,
@@ -230,7 +203,6 @@ def _sites(report: Report) -> list[dict[str, Any]]:
                 "told": f"{counted(len(runs), 'run')}, {counted(fused.junctions, 'junction')}, "
                 f"{fused.lengths_m[0]:,.0f} m of corridors{to_turning_points(fused.turned)}"
                 f"{legible(weakest.get(c.id, ''))}",
-                "runs": list(zip(runs, ink, strict=True)),
                 "shape": round(wide / high, 3),
                 "turn": f"{np.degrees(upright_rad(fused.paths)):.0f}",
                 "most": int(np.flatnonzero(result.fused.component == c.id).max(initial=0)),
@@ -249,104 +221,6 @@ def _changes(report: Report) -> list[tuple[str, list[str]]]:
         (own.name, [describe_change(c, own.name) for c in sure if c.component == own.id])
         for own in several
     ]
-
-
-def _time_line(report: Report, runs: Sequence[str]) -> Any | None:
-    """A figure of when each run was recorded, a row or more for each site; None if none has a
-    time."""
-    several, _ = _groups(report.result) if report.result is not None else ([], [])
-    groups = [(c.name, sorted(c.poses)) for c in several]
-    grouped = {run for _, own in groups for run in own}
-    groups.append(("alone", [run for run in runs if run not in grouped]))
-    spans = {
-        run: (int(m.observation_time_ns.min()), int(m.observation_time_ns.max()))
-        for run, m in report.maps.items()
-        if len(m.observation_time_ns)
-    }
-    if not spans:
-        return None
-    knots, places, ticks = _clock(sorted(spans.values()))
-    least = SHORTEST * places[-1]
-    ends: list[float] = []  # of the last run in each row
-    bars: list[tuple[float, float, float, float, str, str]] = []
-    labels: dict[float, str] = {}
-    for name, own in groups:
-        first = len(ends)
-        for rank, run in enumerate(own):
-            if run not in spans:
-                continue
-            labels[first + 0.5] = name
-            begin, end = spans[run]
-            left, right = np.interp(np.subtract((begin, end), knots[0]), knots - knots[0], places)
-            right = max(float(right), float(left) + least)
-            row = next((k for k in range(first, len(ends)) if ends[k] < left), len(ends))
-            ends[row : row + 1] = [right + least / 4]
-            ink = LIGHT.run(rank) if run in grouped else INK
-            tip = legible(f"{run}: {utc(begin)} UTC, {minutes(end - begin)}")
-            sides = (round(float(left), 2), round(right, 2), row + 0.15, row + 0.85)
-            bars.append((*sides, ink, tip))
-    return _time_figure(bars, labels, ticks, (places[-1] + least, len(ends)))
-
-
-def _time_figure(
-    bars: Sequence[tuple[float, float, float, float, str, str]],
-    labels: Mapping[float, str],
-    ticks: Mapping[float, str],
-    size: tuple[float, int],
-) -> Any:
-    """The figure of the time line. bars: left, right, bottom, top, colour and tip of each; labels:
-    of sites, by their rows; ticks: by their places; size: length of the axis and number of rows."""
-    far, rows = size
-    plot = blank_figure((-far / 50, 1.02 * far), (rows, 0), "xpan,tap")
-    names = ("left", "right", "bottom", "top", "ink", "told")
-    plot.quad(
-        *("left", "right", "top", "bottom"),
-        source=ColumnDataSource(dict(zip(names, map(list, zip(*bars, strict=True)), strict=True))),
-        fill_color="ink",
-        line_color=None,
-        nonselection_fill_alpha=1.0,
-        selection_fill_color=CHOSEN,
-    )
-    plot.ygrid[0].update(visible=False)
-    plot.xgrid[0].update(grid_line_color=INK, grid_line_alpha=0.25)
-    plot.xaxis[0].update(
-        major_label_text_color=INK,
-        major_label_text_font_size="10px",
-        axis_line_color=INK,
-        major_tick_line_color=INK,
-        minor_tick_line_color=None,
-        ticker=FixedTicker(ticks=[*ticks]),
-        major_label_overrides=ticks,
-    )
-    named_axis(plot.yaxis[0], labels)
-    return plot
-
-
-def _clock(spans: Sequence[tuple[int, int]]) -> tuple[IntArray, FloatArray, dict[float, str]]:
-    """The axis of the time line: times (k,) [ns] and their places on it [s], between which it is
-    linear; and the texts of its ticks. spans: of the runs, by time.
-
-    Gaps between recordings are shortened to the mean time recorded between two of them, so that
-    years without any take no more room than the runs.
-    """
-    whole: list[list[int]] = []
-    for begin, end in spans:
-        if whole and begin <= whole[-1][1]:
-            whole[-1][1] = max(end, whole[-1][1])
-        else:
-            whole.append([begin, max(end, begin + MS_NS)])
-    knots = np.array(whole).ravel()
-    step = np.diff(knots, prepend=knots[0]) / 1e9
-    recorded, gaps = step[1::2], step[2::2]
-    gaps[:] = np.minimum(gaps, recorded.mean())
-    places = np.cumsum(step)
-    at = places[::2] if len(whole) > 1 else np.linspace(0.0, places[-1], MOST_TICKS)
-    times = np.interp(at, places, knots - knots[0])
-    ticks: dict[float, str] = {}
-    for x, time in zip(at.tolist(), times.tolist(), strict=True):
-        if not ticks or x - max(ticks) >= places[-1] / MOST_TICKS:
-            ticks[round(x, 2)] = utc(int(time) + int(knots[0]), "%Y-%m-%d\n%H:%M")
-    return knots, places, ticks
 
 
 def _health(report: Report, runs: Sequence[str]) -> list[tuple[list[str], list[str]]]:

@@ -1,63 +1,53 @@
-"""The maps of a report: one for each site, with layers, drawn by Bokeh in the reader's browser.
+"""The maps of a report: one for each site, drawn by Bokeh in the reader's browser.
 
-Colours are seen on white and on dark paper alike. A renderer's name is the layer that it belongs
-to; the column `told` of its source is what a click on it says.
+Colours are seen on white and on dark paper alike. A renderer's name is its entry in the key, which
+hides and shows it; the column `told` of its source is what a click on it says.
 """
 
 from __future__ import annotations
 
 import io
 from base64 import b64encode
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from bokeh.models import ColumnDataSource, Range1d, WheelZoomTool
 from bokeh.models.annotations.legends import ScaleBar
 from bokeh.plotting import figure
+from numpy.typing import NDArray
 from PIL import Image
 
-from ..merge.change import Change, ChangeKind, numbered
+from ..merge.change import Change
 from ..merge.drive import Drive
-from ..merge.result import Component, FusedMap, MergeResult, site_views
-from ..topology.arrays import FloatArray, IntArray
+from ..merge.result import Component, MergeResult, site_views
+from ..topology.arrays import FloatArray
 from ..topology.driven_branches import driven_branches
 from ..topology.polyline import simplify
 from ..topology.run import Grid
-from ..topology.se2 import apply
 from ..topology.topomap import TopoMap
 from ..topology.turning_vertices import with_turning_points
-from ..topology.wording import counted, legible, listed
-from .geometry import LINE_SHARE, TURNED, TURNED_MARKERS, bounds, changed_path, strands
-from .pages import describe_corridor
-from .palette import LIGHT
-from .parts import ranks, rows_of
+from ..topology.wording import legible
+from .geometry import FINEST_M, MARGIN, PENS, usual_m
+from .palette import BOTH, MEDIUM, THIN, rgb
+from .parts import lay_out, ranks
+from .scene import draw_component, draw_walls
 from .sheet import upright_rad
+from .surface import Look
 from .walls import wall_points, walls_of
 
-INK, FAINT, CHOSEN = "#6f7682", "#9aa2ae", "#c026d3"
-"""Text and junctions, corridors, and what was clicked: a contrast of 4 or more, 2.5, and 4 on white
-and on the dark page."""
-
-GOOD, BAD, PLANNED = LIGHT["agrees"], LIGHT["against"], "#8b5cf6"
-
-CHANGED = {ChangeKind.GONE: BAD, ChangeKind.NEW: GOOD, ChangeKind.DIFFERS: PLANNED}
+CHOSEN = BOTH["pink"]
+"""What was clicked."""
 
 PICTURE_PX = 700.0
 """A map's width on a page of usual width."""
 
-PEN_PX = 2.4
-"""Width of a run's line where the map fills its picture, within LINE_SHARE."""
+PEN_PX = 2.0
+"""Width of a corridor's line where the map fills its picture; the page draws all marks smaller
+where corridors are short."""
 
-SCALE_BAR = 0.04
-"""Room for the scale bar below a map, and for numbers at its right, over its extent."""
-
-STRAIGHT_M = 0.05
-"""Corridors are drawn with as few points as stay within it of the whole line [m]."""
-
-MOST_RUNS = 8
-"""Runs that a click names; of the others it gives the number."""
+NUMBERS = "numbers"
+"""Of this layer the page shows what has room."""
 
 
 def site_map(
@@ -70,26 +60,21 @@ def site_map(
     """A figure of one component of a merge, turned upright. maps: of its runs; changes, drives: of
     all components."""
     fused = result.fused
-    (vertices,) = rows_of(fused.component, [own.id])
-    (edges,) = rows_of(fused.component[fused.source], [own.id])
-    paths = [fused.paths[e] for e in edges.tolist()]
-    begun = [(k, drive) for k, drive in enumerate(drives, 1) if drive.component == own.id]
-    T = np.array([0.0, 0.0, upright_rad(paths)])
-    walls = walls_of([v.moved(T) for v in site_views(fused, own, maps)], own.name)
-    extents = np.concatenate([fused.xy[vertices], *paths, *(drive.path for _, drive in begun)])
-    plot = map_figure([apply(T, extents), wall_points(walls)])
-    plot.update(tags=[usual_m(fused.length[edges])])
-    site = _Site(plot, fused, own, T, vertices, edges)
-    if walls is not None:
-        site.walls(walls)
-    site.corridors()
-    site.runs(ranks(result))
-    site.unexplored()
-    site.changes([c for c in changes if c.component == own.id and c.sure])
-    site.drives(begun)
-    site.junctions()
-    site.frame()
-    return plot
+    views = site_views(fused, own, maps)
+    to_hold = [drive.path for drive in drives if drive.component == own.id]
+    to_hold.append(wall_points(walls_of(views, "")))
+    (part,) = lay_out(result, {own.id: np.concatenate(to_hold)}, [own.id])
+    surface = SiteFigure(part.cell.low, part.cell.high, usual_m(fused.length[part.edges]))
+    draw_walls(surface, views, part.cell.T_sheet_map, surface.theme.ink, alpha=0.5)
+    draw_component(
+        *(surface, fused, part, ranks(result), ~driven_branches(fused)),
+        several=1,
+        told=True,
+        numbers=None,
+        drives=drives,
+        changes=[c for c in changes if c.sure],
+    )
+    return surface.plot
 
 
 def blank_figure(x: Sequence[float], y: Sequence[float], tools: str, **more: Any) -> Any:
@@ -110,13 +95,11 @@ def blank_figure(x: Sequence[float], y: Sequence[float], tools: str, **more: Any
     )
 
 
-def map_figure(points: Sequence[FloatArray]) -> Any:
-    """An empty figure that holds all points, (k, 2) each [m]; the page keeps both axes to one
-    scale."""
-    low, high = bounds(points)
-    spare = SCALE_BAR * float((high - low).max())
-    low[1], high[0] = low[1] - spare, high[0] + spare
-    plot = blank_figure((low[0], high[0]), (low[1], high[1]), "pan,tap")
+def map_figure(low: FloatArray, high: FloatArray) -> Any:
+    """An empty figure that shows what lies between two corners, (2,) each [m], with room for a
+    scale bar and for numbers; the page keeps both axes to one scale."""
+    spare = MARGIN * float((high - low).max())
+    plot = blank_figure((low[0], high[0] + spare), (low[1] - spare, high[1]), "pan,tap")
     wheel = WheelZoomTool(modifiers="ctrl")
     plot.add_tools(wheel)
     plot.toolbar.update(active_scroll=wheel)
@@ -128,20 +111,15 @@ def map_figure(points: Sequence[FloatArray]) -> Any:
         location="bottom_left",
         background_fill_color=None,
         border_line_color=None,
-        bar_line_color=INK,
-        label_text_color=INK,
+        bar_line_color=BOTH.ink,
+        label_text_color=BOTH.ink,
         label_location="above",
         margin=4,
         padding=2,
-        bar_length=0.15,
+        bar_length=0.2,
     )
     plot.add_layout(bar)
     return plot
-
-
-def usual_m(lengths: FloatArray) -> float:
-    """The median length of corridors [m], by which the page tells how large a map is drawn."""
-    return round(float(np.median(lengths)), 2) if len(lengths) else 1.0
 
 
 def columns(xy: FloatArray) -> tuple[list[float], list[float]]:
@@ -150,255 +128,115 @@ def columns(xy: FloatArray) -> tuple[list[float], list[float]]:
     return x, y
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Site:
-    """The figure of a component, its own. T: the pose in the figure of its frame; vertices, edges:
-    its rows."""
+class SiteFigure:
+    """A Bokeh figure as a `Surface`. usual: length of a usual corridor [m]."""
 
-    plot: Any
-    fused: FusedMap
-    own: Component
-    T: FloatArray
-    vertices: IntArray
-    edges: IntArray
+    theme = BOTH
 
-    def walls(self, grid: Grid) -> None:
-        """Walls dark, free space light. grid: along the axes of the figure."""
-        pixels = np.zeros((*grid.free.shape, 4), np.uint8)
-        pixels[grid.free] = (128, 138, 154, 28)
-        pixels[~grid.free & ~grid.unknown] = (112, 122, 138, 150)
-        out = io.BytesIO()
-        Image.fromarray(pixels[::-1]).quantize(4).save(out, "PNG", optimize=True)
-        url = "data:image/png;base64," + b64encode(out.getvalue()).decode()
-        high, wide = (count * grid.resolution_m for count in grid.free.shape)
-        place = {"x": [grid.origin[0]], "y": [grid.origin[1]], "w": [wide], "h": [high]}
-        self.plot.image_url(
-            url="url",
-            source=ColumnDataSource({"url": [url], **place}),
-            **{name: name for name in place},
-            anchor="bottom_left",
-            name="walls",
-        )
+    def __init__(self, low: FloatArray, high: FloatArray, usual: float) -> None:
+        self.plot = map_figure(low, high)
+        self.plot.update(tags=[round(usual, 2)])
+        self.pen_m = min(PEN_PX * float((high - low).max()) / PICTURE_PX, usual / PENS)
 
-    def corridors(self) -> None:
-        """Every corridor as one line, to be clicked; faint under the lines of several runs."""
-        f, rows = self.fused, self.edges.tolist()
-        tips = []
-        for e in rows:
-            what, runs = describe_corridor(f, e), sorted({run for run, _ in f.edge_members[e]})
-            tips.append(f"{what[0].upper()}{what[1:]} by {listed(runs, MOST_RUNS)}")
-        paths, alpha = [f.paths[e] for e in rows], 0.45 if len(self.own.poses) > 1 else 0.9
-        self._lines(paths, tips, FAINT, "", line_width=3.0, line_alpha=alpha)
-
-    def runs(self, rank: Mapping[str, int]) -> None:
-        """A line beside the others for each of several runs that drove a corridor."""
-        if len(self.own.poses) < 2:
+    def lines(self, paths: Sequence[FloatArray], look: Look) -> None:
+        """Draw polylines; a click on one tells its tip."""
+        if not paths:
             return
-        extent = self.plot.x_range.end - self.plot.x_range.start
-        usual = usual_m(self.fused.length[self.edges])
-        found = strands(
-            self.fused, self.edges, min(PEN_PX * extent / PICTURE_PX, LINE_SHARE * usual)
-        )
-        x, y = self._path_columns(strand.path for strand in found)
-        inks = [LIGHT.run(rank[strand.run]) for strand in found]
-        source = ColumnDataSource({"xs": x, "ys": y, "ink": inks})
-        look = {"line_color": "ink", "line_width": PEN_PX * 0.8}
-        self.plot.multi_line("xs", "ys", source=source, name="runs", **look)
-
-    def unexplored(self) -> None:
-        """Branches that nobody drove."""
-        f, branches = self.fused, self.fused.branches
-        free = ~driven_branches(f) & np.isin(branches.owner, self.vertices)
-        if not free.any():
-            return
-        x, y = columns(apply(self.T, f.xy[branches.owner[free]]))
-        heading = np.round(branches.values[free] + self.T[2], 3).tolist()
-        source = ColumnDataSource({"x": x, "y": y, "angle": heading})
-        look = {"length": 14, "length_units": "screen", "line_color": PLANNED, "line_width": 2}
-        name = "branches never driven"
-        self.plot.ray("x", "y", source=source, angle="angle", name=name, **look)
-
-    def changes(self, shown: Sequence[Change]) -> None:
-        """What is gone, new, or there at times."""
-        if not shown:
-            return
-        told = numbered(shown)
-        for kind, ink in CHANGED.items():
-            some = [c for _, c in told if c.kind is kind]
-            paths = [changed_path(self.fused, self.edges, c) for c in some]
-            tips = [describe_change(c, self.own.name) for c in some]
-            self._lines(paths, tips, ink, "changes", line_width=6.0, line_alpha=0.6)
-            places = [k for k, c in enumerate(some) if c.edge is None]
-            at = np.array([some[k].xy for k in places])
-            self._dots(at, [tips[k] for k in places], ink, "changes", 16.0, ring=True)
-            numbers = [f"{k}" for k, c in told if c.kind is kind]
-            at = np.array([c.xy for c in some])
-            look = {"text_font_style": "bold", "level": "annotation"}  # above the junctions
-            self._words(at, numbers, ink, "changes", (8, -12), **look)
-
-    def drives(self, found: Sequence[tuple[int, Drive]]) -> None:
-        """What to record next: the way, and a ring where it begins."""
-        if not found:
-            return
-        tips = [f"Drive {k}: {'; '.join(drive.words)}; {drive.way}" for k, drive in found]
-        paths = [drive.path for _, drive in found]
-        self._lines(paths, tips, PLANNED, DRIVES, line_width=6.0, line_alpha=0.6)
-        begins = np.array([drive.stops[0].xy for _, drive in found])
-        self._dots(begins, tips, PLANNED, DRIVES, 18.0, ring=True)
-        together: dict[int | None, list[int]] = {}
-        for row, (_, drive) in enumerate(found):
-            together.setdefault(drive.stops[0].junction, []).append(row)
-        names = [
-            f"drive{'s' if len(rows) > 1 else ''} {', '.join(str(found[r][0]) for r in rows)}"
-            for rows in together.values()
-        ]
-        first = begins[[rows[0] for rows in together.values()]]
-        self._words(first, names, PLANNED, DRIVES, (10, -22), text_font_style="bold")
-        stops = [s for _, drive in found for s in drive.stops if s.site != self.own.name]
-        beyond = [s for s in stops if s.junction is not None]
-        at = np.array([s.xy for s in beyond])
-        self._words(at, [str(s.junction) for s in beyond], PLANNED, NUMBERS, (6, 12))
-
-    def junctions(self) -> None:
-        """Junctions, larger where several runs saw them, and their numbers; where a log ends or a
-        robot turned round."""
-        f = self.fused
-        turned = np.array([f.kind[v] in TURNED for v in self.vertices.tolist()], bool)
-        for kind, marker in TURNED_MARKERS.items():
-            rows = [v for v in self.vertices[turned].tolist() if f.kind[v] == kind]
-            runs = [listed(sorted(f.members[v]), MOST_RUNS) for v in rows]
-            tips = [f"Here {TURNED[kind]} ({who})" for who in runs]
-            self._dots(f.xy[rows], tips, LIGHT["degree 1"], "", 6.0, marker=marker)
-        rows = self.vertices[~turned].tolist()
-        for shared, size in ((False, 7.0), (True, 10.0)):
-            some = [v for v in rows if (len(f.members[v]) > 1) == shared]
-            tips = [self._describe_junction(v) for v in some]
-            self._dots(f.xy[some], tips, INK, "", size, number=some)
-        self._words(f.xy[rows], list(map(str, rows)), INK, NUMBERS, (6, -8))
-
-    def _describe_junction(self, v: int) -> str:
-        """A fused junction in a line: branches, passes, runs, position."""
-        f = self.fused
-        runs = sorted(f.members[v])
-        sigma = f.position_sigma
-        sure = "" if sigma is None or np.isnan(sigma[v]) else f", ± {sigma[v]:.2f} m"
-        x, y = f.xy[v]
-        kind = f.kind[v].replace("_", " ")
-        own = [f"{run} (its {', '.join(map(str, f.members[v][run]))})" for run in runs]
-        return (
-            f"Junction {v}{'' if kind == 'junction' else f' ({kind})'}: "
-            f"{counted(len(f.branches[v]), 'branch', 'branches')}, "
-            f"{counted(len(f.observations[v]), 'pass', 'passes')} by {listed(own, MOST_RUNS)}; at "
-            f"({x:.2f}, {y:.2f}) m{sure}"
-        )
-
-    def frame(self) -> None:
-        """The axes of the site's frame at its origin."""
-        reach = 0.05 * (self.plot.x_range.end - self.plot.x_range.start)
-        tips = np.array([(reach, 0.0), (0.0, reach)])
-        x, y = self._path_columns(np.stack([np.zeros(2), tip]) for tip in tips)
-        source = ColumnDataSource({"xs": x, "ys": y})
-        self.plot.multi_line("xs", "ys", source=source, line_color=INK, line_width=1.2, name="axes")
-        self._words(1.3 * tips, ["x", "y"], INK, "axes", (0, 0), text_align="center")
-
-    def _path_columns(self, paths: Iterable[FloatArray]) -> tuple[Any, Any]:
-        """x and y of each polyline of the site's frame, in the figure."""
-        both = [columns(simplify(apply(self.T, path), STRAIGHT_M)) for path in paths]
-        return [x for x, _ in both], [y for _, y in both]
-
-    # ink: colour; layer: "" for what is always shown; look: of Bokeh's glyphs.
-
-    def _lines(
-        self, paths: Sequence[FloatArray], tips: Sequence[str], ink: str, layer: str, **look: Any
-    ) -> None:
-        """Polylines, (k, 2) each in the site's frame, and what a click on one says."""
-        x, y = self._path_columns(paths)
+        x, y = path_columns(paths)
         self.plot.multi_line(
             "xs",
             "ys",
-            source=ColumnDataSource({"xs": x, "ys": y, "told": list(map(legible, tips))}),
-            line_color=ink,
+            source=_told({"xs": x, "ys": y}, look.tips),
+            line_color=look.colour,
+            line_width=max(look.pens, THIN) * PEN_PX,
             line_cap="round",
             line_join="round",
-            name=layer or None,
-            nonselection_line_alpha=look.get("line_alpha", 1.0),
+            name=look.key or None,
+            nonselection_line_alpha=1.0,
             selection_line_color=CHOSEN,
-            **look,
         )
 
-    def _dots(
-        self,
-        xy: FloatArray,
-        tips: Sequence[str],
-        ink: str,
-        layer: str,
-        size: float,
-        *,
-        ring: bool = False,
-        number: Sequence[int] = (),
-        **look: Any,
-    ) -> None:
-        """Marks or rings at xy (n, 2) in the site's frame, and what a click on one says; number: of
-        junctions, by which the page finds them."""
-        if not len(tips):
+    def dots(self, xy: FloatArray, look: Look) -> None:
+        """Draw marks; a click on one tells its tip."""
+        if not len(xy):
             return
-        x, y = columns(apply(self.T, xy))
-        given = {"x": x, "y": y, "told": list(map(legible, tips))}
-        given |= {"number": list(number)} if len(number) else {}
+        x, y = columns(xy)
         self.plot.scatter(
             "x",
             "y",
-            source=ColumnDataSource(given),
-            size=size,
-            fill_color=None if ring else ink,
-            line_color=ink,
-            line_width=2.5 if ring else 0,
-            name=layer or None,
+            source=_told({"x": x, "y": y}, look.tips),
+            size=look.pens * PEN_PX,
+            marker=look.marker,
+            fill_color=None if look.ring else look.colour,
+            line_color=look.colour,
+            line_width=PEN_PX if look.ring else 0,
+            name=look.key or None,
             nonselection_fill_alpha=1.0,
             nonselection_line_alpha=1.0,
             selection_fill_color=CHOSEN,
             selection_line_color=CHOSEN,
-            **look,
         )
 
-    def _words(
-        self,
-        xy: FloatArray,
-        words: Sequence[str],
-        ink: str,
-        layer: str,
-        offset: tuple[int, int],
-        **look: Any,
-    ) -> None:
-        """Words beside points xy (n, 2) of the site's frame. offset: to the right and down
-        [pixels]."""
-        if not len(words):
-            return
-        x, y = columns(apply(self.T, xy.reshape(-1, 2)))
-        source = ColumnDataSource({"x": x, "y": y, "text": list(map(legible, words))})
-        self.plot.text(
-            "x",
-            "y",
-            "text",
-            source=source,
-            x_offset=offset[0],
-            y_offset=offset[1],
-            text_color=ink,
-            text_baseline="middle",
-            text_font_size="11px",
-            name=layer,
-            **look,
+    def words(self, xy: FloatArray, texts: Sequence[str], *, bold: bool = False) -> None:
+        """Write texts; the page leaves out what has no room."""
+        if len(texts):
+            style = "bold" if bold else "normal"
+            write_beside(self.plot, xy, texts, BOTH.ink, "left", text_font_style=style)
+
+    def cells(self, grid: Grid, look: Look, alpha: float = 1.0) -> None:
+        """Draw cells, as a picture; as of `Surface`."""
+        pixels = np.zeros((*grid.free.shape, 4), np.uint8)
+        pixels[~grid.free & ~grid.unknown] = (*rgb(look.colour), round(255 * alpha))
+        high, wide = (count * grid.resolution_m for count in grid.free.shape)
+        place = {"x": [grid.origin[0]], "y": [grid.origin[1]], "w": [wide], "h": [high]}
+        self.plot.image_url(
+            url="url",
+            source=ColumnDataSource({"url": [picture(pixels)], **place}),
+            **{name: name for name in place},
+            anchor="bottom_left",
+            name=look.key,
         )
 
 
-DRIVES = "drives to record"
-NUMBERS = "junction numbers"
-"""Of this layer the page shows what has room."""
+def picture(pixels: NDArray[np.uint8]) -> str:
+    """The address of a picture within the page. pixels: (h, w, 4), row 0 below, of few colours."""
+    out = io.BytesIO()
+    Image.fromarray(pixels[::-1]).quantize(8).save(out, "PNG", optimize=True)
+    return "data:image/png;base64," + b64encode(out.getvalue()).decode()
 
 
-def describe_change(change: Change, site: str) -> str:
-    """What changed, when, for whom and how surely, as sentences on one line."""
-    return " ".join(f"{words[0].upper()}{words[1:]}." for words in change.words(site))
+def _told(given: dict[str, Any], tips: Sequence[str]) -> ColumnDataSource:
+    """The source of marks, and what a click on each says."""
+    return ColumnDataSource(given | ({"told": list(map(legible, tips))} if len(tips) else {}))
+
+
+def path_columns(paths: Sequence[FloatArray]) -> tuple[Any, Any]:
+    """x and y of each polyline, simplified."""
+    both = [columns(simplify(path, FINEST_M)) for path in paths]
+    return [x for x, _ in both], [y for _, y in both]
+
+
+def write_beside(
+    plot: Any, xy: FloatArray, texts: Sequence[str], ink: str, side: str, **look: Any
+) -> None:
+    """Write a text above and beside each of the points (n, 2). side: of the text at which the point
+    is, "left" or "right"; look: of Bokeh's texts."""
+    x, y = columns(xy)
+    plot.text(
+        "x",
+        "y",
+        "text",
+        source=ColumnDataSource({"x": x, "y": y, "text": list(map(legible, texts))}),
+        x_offset=(1 if side == "left" else -1) * MEDIUM * PEN_PX,
+        y_offset=(-1 if side == "left" else 1) * MEDIUM * PEN_PX,
+        text_color=ink,
+        text_align=side,
+        text_baseline="middle",
+        text_font_size="11px",
+        name=NUMBERS,
+        level="annotation",
+        **look,
+    )
 
 
 def own_map(topomap: TopoMap) -> dict[str, Any]:
@@ -406,12 +244,12 @@ def own_map(topomap: TopoMap) -> dict[str, Any]:
     it upright."""
     m = with_turning_points(topomap)
     x, y = columns(m.xy)
-    paths = [columns(simplify(path, STRAIGHT_M)) for path in m.paths]
+    paths = [columns(simplify(path, FINEST_M)) for path in m.paths]
     return {
         "x": x,
         "y": y,
         "junctions": len(topomap),
         "paths": paths,
         "turn": round(upright_rad(m.paths), 4),
-        "usual": usual_m(m.length),
+        "usual": round(usual_m(m.length), 2),
     }

@@ -4,31 +4,45 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Mapping, Sequence
-from itertools import chain
+from itertools import product
 from typing import Any
 
 import numpy as np
 from bokeh.models import ColumnDataSource, FixedTicker, LinearColorMapper
 
 from ..merge.decision import LINKS, Decision, Placement
-from ..merge.decision_text import advice, because, digits_of, itemised, needs, rows, short
+from ..merge.decision_text import (
+    advice,
+    because,
+    digits_of,
+    itemised,
+    named_views,
+    needs,
+    rows,
+    short,
+)
 from ..merge.result import Alignment, MergeResult, PairVerdict, Standing, home_of, shown_bits
+from ..topology.matching.views import AGREES, CONTRADICTS, SILENT, Compared
+from ..topology.se2 import turned
 from ..topology.topomap import TopoMap
+from ..topology.views import CELL_M
 from ..topology.wording import legible
-from .palette import LIGHT
+from .palette import BOTH, RING, SMALL, THIN, rgb
 from .parts import CLASS, runs_in_order, spans_of, strongest, verdict_matrix
-from .report_maps import BAD, CHOSEN, GOOD, INK, NUMBERS, blank_figure, map_figure, own_map
+from .report_maps import CHOSEN, PEN_PX, blank_figure, map_figure, own_map, picture, write_beside
+from .sheet import upright_rad
+
+FAINT = "50"
+"""The opacity, in hexadecimal, of what lies under other marks or says little."""
 
 STANDING_COLOURS = {
-    Standing.MERGED: "#37b26c",
-    Standing.JOINED: "#37b26c66",
-    Standing.AMBIGUOUS: "#f0a020",
-    Standing.KEPT_OUT: "#d43a3a",
-    Standing.UNRELATED: "#8a929c2e",
+    Standing.MERGED: BOTH["green"],
+    Standing.JOINED: BOTH["green"] + FAINT,
+    Standing.AMBIGUOUS: BOTH["orange"],
+    Standing.KEPT_OUT: BOTH["red"],
+    Standing.UNRELATED: BOTH["single"] + FAINT,
 }
 """The colour of each standing of a pair, on white and on dark paper."""
-
-SAME_RUN = "#8a929c99"
 
 MOST_NAMES = 40
 """Up to this many runs the matrix has their names; of more those of their sites."""
@@ -42,14 +56,17 @@ def matrix_figure(result: MergeResult) -> Any:
     runs = runs_in_order(result)
     n = len(runs)
     plot: Any = blank_figure((0, n), (n, 0), "")
-    plot.update(outline_line_color=INK)
-    colours = [SAME_RUN, *(STANDING_COLOURS[s] for s in CLASS)]
+    plot.update(outline_line_color=BOTH.ink)
+    colours = [BOTH["single"], *(STANDING_COLOURS[s] for s in CLASS)]
     mapper = LinearColorMapper(palette=colours, low=-0.5, high=len(colours) - 0.5)
     plot.image(image=[verdict_matrix(result, runs)], x=0, y=0, dw=n, dh=n, color_mapper=mapper)
     spans = spans_of(result)
     begins, ends = ([span[k] for span in spans if span[2] - span[1] > 1] for k in (1, 2))
     sides = {"left": begins, "right": ends, "top": begins, "bottom": ends}
-    framed, look = ColumnDataSource(sides), {"fill_color": None, "line_color": INK, "line_width": 2}
+    framed, look = (
+        ColumnDataSource(sides),
+        {"fill_color": None, "line_color": BOTH.ink, "line_width": 2},
+    )
     plot.quad("left", "right", "top", "bottom", source=framed, **look)
     spot = ColumnDataSource({"x": [], "y": []}, name="spot")
     look = {"fill_color": None, "line_color": CHOSEN, "line_width": 3}
@@ -60,56 +77,45 @@ def matrix_figure(result: MergeResult) -> Any:
     for part in plot.grid:
         part.update(visible=False)
     for axis in (plot.xaxis[0], plot.yaxis[0]):
-        named_axis(axis, names)
+        axis.update(
+            ticker=FixedTicker(ticks=sorted(names)),
+            major_label_overrides={at: short(legible(name)) for at, name in names.items()},
+            major_label_text_color=BOTH.ink,
+            major_label_text_font_size="10px",
+            major_label_standoff=2,
+            major_tick_line_color=None,
+            axis_line_color=None,
+        )
     plot.xaxis[0].update(major_label_orientation="vertical")
     return plot
-
-
-def named_axis(axis: Any, names: Mapping[float, str]) -> None:
-    """Write names beside an axis, by their place along it."""
-    axis.update(
-        ticker=FixedTicker(ticks=sorted(names)),
-        major_label_overrides={at: short(legible(name)) for at, name in names.items()},
-        major_label_text_color=INK,
-        major_label_text_font_size="10px",
-        major_label_standoff=2,
-        major_tick_line_color=None,
-        axis_line_color=None,
-    )
 
 
 def pair_figure() -> Any:
     """A figure for one map laid over another, which the page fills. The sources of its renderers
     are named after what they hold."""
-    plot = map_figure([np.array([(0.0, 0.0), (1.0, 1.0)])])
-    one, two = LIGHT.run(0), LIGHT.run(1)
-    for name, ink, width, alpha in (
-        ("links", GOOD, 9.0, 0.45),
-        ("a", one, 3.0, 0.9),
-        ("b", two, 3.0, 0.9),
-        ("ties", INK, 1.5, 1.0),
-        ("crossing", BAD, 5.0, 0.8),
+    plot = map_figure(np.zeros(2), np.ones(2))
+    one, two = BOTH.run(0), BOTH.run(1)
+    for name, ink, pens in (
+        ("links", BOTH["agrees"] + FAINT, RING),
+        ("a", one, 1),
+        ("b", two, 1),
+        ("ties", BOTH.ink, THIN),
+        ("crossing", BOTH["against"], SMALL),
     ):
         source = ColumnDataSource({"xs": [], "ys": []}, name=name)
-        plot.multi_line(
-            "xs", "ys", source=source, line_color=ink, line_width=width, line_alpha=alpha
-        )
-    for name, ink, size in (("a dots", one, 6), ("b dots", two, 6), ("against", BAD, 16)):
-        source = ColumnDataSource({"x": [], "y": []}, name=name)
-        fill = None if name == "against" else ink
-        plot.scatter(
-            "x", "y", source=source, size=size, fill_color=fill, line_color=ink,
-            line_width=2.5 if fill is None else 0,
-        )  # fmt: skip
-    for name, ink, align, x, y in (
-        ("a numbers", one, "right", -5, -7),
-        ("b numbers", two, "left", 5, 8),
+        plot.multi_line("xs", "ys", source=source, line_color=ink, line_width=pens * PEN_PX)
+    for name, ink, pens in (
+        ("a dots", one, SMALL),
+        ("b dots", two, SMALL),
+        ("against", BOTH["against"], RING),
     ):
-        source = ColumnDataSource({"x": [], "y": [], "text": []}, name=name)
-        plot.text(
-            "x", "y", "text", source=source, text_color=ink, text_font_size="11px",
-            text_align=align, text_baseline="middle", x_offset=x, y_offset=y, name=NUMBERS,
-        )  # fmt: skip
+        source = ColumnDataSource({"x": [], "y": []}, name=name)
+        ring = name == "against"
+        look = {"fill_color": None if ring else ink, "line_width": PEN_PX if ring else 0}
+        plot.scatter("x", "y", source=source, size=pens * PEN_PX, line_color=ink, **look)
+    for name, ink, side in (("a numbers", one, "right"), ("b numbers", two, "left")):
+        write_beside(plot, np.zeros((0, 2)), (), ink, side)
+        plot.renderers[-1].data_source.update(name=name)
     return plot
 
 
@@ -119,11 +125,14 @@ def page_data(
     maps: Mapping[str, TopoMap],
     decisions: Mapping[tuple[str, str], Decision],
     where: Sequence[str],
+    *,
+    as_merged: bool,
 ) -> dict[str, Any]:
     """What the page knows of runs and pairs, as JSON values.
 
     decisions: on the pairs whose evidence is shown line by line; where: options that name the
-    workspace in a call.
+    workspace in a call; as_merged: whether the maps are those that were merged, so that they have
+    the junctions that placements name.
     """
     row = {run: k for k, run in enumerate(runs)}
     home = home_of(result.components if result else ())
@@ -133,7 +142,7 @@ def page_data(
         said = reasons.setdefault(legible(p.reason), len(reasons))
         entry: dict[str, Any] = {"i": row[p.a], "j": row[p.b], "s": CLASS[p.standing] - 1}
         entry |= {"r": said, "bits": shown_bits(p.evidence_bits)}
-        pairs.append(entry | _opened(p, decisions.get((p.a, p.b)), maps))
+        pairs.append(entry | _opened(p, decisions.get((p.a, p.b)), maps if as_merged else {}))
     return {
         "runs": [
             {"name": legible(run), "shell": shlex.quote(run)}
@@ -143,7 +152,8 @@ def page_data(
         ],
         "standings": [str(s) for s in CLASS],
         "colours": [STANDING_COLOURS[s] for s in CLASS],
-        "inks": [LIGHT.run(0), LIGHT.run(1)],
+        "ink": BOTH.ink,
+        "inks": [BOTH.run(0), BOTH.run(1)],
         "reasons": list(reasons),
         "pairs": pairs,
         "counted": result is not None and result.unlisted is not None,
@@ -180,14 +190,31 @@ def _opened(
     return out
 
 
+def _seen(seen: Compared, turn_rad: float) -> str:
+    """A picture of the walls of two views over each other, turned: those of a twice as wide, faint
+    where nothing is known of them in the other view; what contradicts last."""
+    xy = turned(seen.xy, turn_rad)
+    reach = np.abs(xy).max(initial=0.0) + CELL_M
+    at = np.floor((xy + reach) / (CELL_M / 2)).astype(np.int64)
+    pixels = np.zeros((*(2 * [at.max(initial=0) + 2]), 4), np.uint8)
+    for kind in (SILENT, AGREES, CONTRADICTS):
+        for run in (0, 1):
+            ink = BOTH["against"] if kind == CONTRADICTS else BOTH.run(run)
+            alpha = int(FAINT, 16) if kind == SILENT else 255
+            x, y = at[(seen.kind == kind) & (seen.of_second == run)].T
+            for right, up in product(range(2 - run), repeat=2):
+                pixels[y + up, x + right] = (*rgb(ink), alpha)
+    return picture(pixels)
+
+
 def _placed(
     alignment: Alignment,
     maps: Mapping[str, TopoMap],
     pair: PairVerdict,
     placement: Placement | None = None,
 ) -> dict[str, Any] | None:
-    """A placement to be drawn; None if the maps do not have the junctions that it names."""
-    if not _is_of(alignment, maps, pair):
+    """A placement to be drawn; None without both maps."""
+    if not {pair.a, pair.b} <= maps.keys():
         return None
     x, y, turn = alignment.transform.tolist()
     out: dict[str, Any] = {
@@ -199,17 +226,8 @@ def _placed(
     }
     if placement is not None:
         links = itemised(placement, LINKS)
+        turn = upright_rad(maps[pair.a].paths)
+        views = [(t, t.seen) for t in placement.of("views") if t.seen is not None]
+        out["views"] = [[named_views(t), _seen(seen, turn)] for t, seen in views]
         out["links"] = [list(t.a) for t in links if t.bits > 0 and len(t.a) == 2]
     return out
-
-
-def _is_of(alignment: Alignment, maps: Mapping[str, TopoMap], pair: PairVerdict) -> bool:
-    """Whether both maps are there and have the junctions that an alignment names."""
-    if not {pair.a, pair.b} <= maps.keys():
-        return False
-    for side, m in enumerate((maps[pair.a], maps[pair.b])):
-        against = chain.from_iterable(where[side] for where in alignment.contradicting)
-        named = [*alignment.matched[:, side].tolist(), *against]
-        if max(named, default=0) >= len(m) + len(m.turning_points):
-            return False
-    return True

@@ -13,13 +13,10 @@ from ..topology.odometry import Odometry
 from ..topology.se2 import apply, compose, fit_rigid
 from ..topology.topomap import TopoMap
 from ..topology.track import stretch_of
-from .geometry import thinned
+from .geometry import FINEST_M, thinned
 
 MOST_POINTS = 20_000
 """About the most points of a drawn track."""
-
-FINEST_M = 0.05
-"""Least distance of a drawn track's points."""
 
 SHORT_CHORD_M = 0.5
 """Two passes closer than this give no direction between them."""

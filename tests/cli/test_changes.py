@@ -53,7 +53,7 @@ def test_changes_are_drawn_with_the_numbers_of_their_list(topobatch, place, tmp_
     svg = (tmp_path / "changes.svg").read_text()
     assert "What changed: " in svg
     assert "1. " in svg
-    assert "<title>change 1</title>" in svg
+    assert "<title>Gone: corridor of" in svg
     assert "gone, with its number in the list" in svg
     assert "1. " in shown.out
     assert "gone: corridor of" in " ".join(re.findall(r">([^<>]*)</text>", svg))

@@ -47,7 +47,7 @@ def test_what_cannot_be_drawn_is_said(topobatch, workspace, tmp_path) -> None:
     assert not out.exists()
 
 
-def test_a_report_is_written_where_asked(topobatch, merged, tmp_path) -> None:
+def test_a_report_is_written_where_asked(topobatch, merged, tmp_path, monkeypatch) -> None:
     done = topobatch("report", "-w", merged)
     assert done.code == 0
     page = merged / "report.html"
@@ -56,8 +56,12 @@ def test_a_report_is_written_where_asked(topobatch, merged, tmp_path) -> None:
     html = page.read_text()
     for run in RUNS:
         assert run in html
-    topobatch("report", tmp_path / "r.html", "-w", merged)
-    assert (tmp_path / "r.html").read_bytes() == page.read_bytes()
+    pages = set()
+    for _ in range(2):
+        monkeypatch.setattr("bokeh.util.serialization._simple_id", 999)  # as in a new process
+        topobatch("report", tmp_path / "r.html", "-w", merged)
+        pages.add((tmp_path / "r.html").read_bytes())
+    assert len(pages) == 1
     assert "ends in .html" in topobatch("report", tmp_path / "r.txt", "-w", merged).error(2)
     assert "--output" in topobatch("report", "--merge", "nix", "-w", merged).error(2)
     assert "topobatch ingest" in topobatch("report", "-w", tmp_path / "none").error(1)

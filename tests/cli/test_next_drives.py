@@ -58,7 +58,7 @@ def test_a_picture_of_the_plan(place, topobatch, tmp_path) -> None:
     assert shown.code == 0, shown
     (told,) = json.loads(topobatch("next", "-n", 1, "--json", "-w", place).out)
     texts = "".join(ET.parse(files[0]).getroot().itertext())
-    assert f"drive 1: {told['where']}" in texts
+    assert f"Drive 1: {told['where']}" in texts
     assert "drive to record, from its number on" in texts
     for stop in told["stops"]:
         assert f"{stop['junction']}" in texts
@@ -109,7 +109,7 @@ def test_the_report_shows_it(place, topobatch) -> None:
     page = (place / "report.html").read_text()
     assert "<h2>What to record next</h2>" in page
     assert told[0]["where"] in page
-    assert "drives to record" in page
+    assert "drive to record, from its number on" in page
 
 
 def test_the_calls_that_cannot_be(place, topobatch) -> None:

@@ -4,6 +4,7 @@ import numpy as np
 
 from topobatch.viz.canvas import Canvas
 from topobatch.viz.palette import DARK, LIGHT
+from topobatch.viz.surface import Look
 
 SVG = "{http://www.w3.org/2000/svg}"
 HOSTILE = '<script>alert("1")</script> & $x_1$ --> _private \u202e\x1b[2J'
@@ -11,11 +12,11 @@ HOSTILE = '<script>alert("1")</script> & $x_1$ --> _private \u202e\x1b[2J'
 
 def canvas(theme=LIGHT, name: str = HOSTILE) -> Canvas:
     drawn = Canvas(np.array([0.0, 0.0]), np.array([40.0, 20.0]), theme)
-    drawn.lines([np.array([(0.0, 0.0), (40.0, 20.0)])], theme.run(0), 2.0, tips=[name])
-    drawn.dots(np.array([(1.23456789, 2.0)]), theme["ink"], 4.0, tips=["a dot"])
-    drawn.words(np.array((5.0, 5.0)), name)
-    drawn.run("runs", None)
-    drawn.run(name, theme.run(0))
+    drawn.lines(
+        [np.array([(0.0, 0.0), (40.0, 20.0)])], Look(theme.run(0), 2.0, tips=[name], key=name)
+    )
+    drawn.dots(np.array([(1.23456789, 2.0)]), Look(theme["ink"], 4.0, tips=["a dot"]))
+    drawn.words(np.array([(5.0, 5.0)]), [name])
     drawn.finish([name])
     return drawn
 
@@ -46,8 +47,7 @@ def test_names_are_shown_as_text_and_nothing_else() -> None:
 def test_numbers_that_would_lie_over_each_other_are_moved() -> None:
     drawn = Canvas(np.zeros(2), np.array([40.0, 20.0]), LIGHT)
     for k in range(4):
-        at = np.array([20.0, 10.0 + 0.01 * k])
-        drawn.words(at + np.array([0.0, 1.0]), f"12{k}", of=at)
+        drawn.words(np.array([(20.0, 10.0 + 0.01 * k)]), [f"12{k}"])
     boxes = np.array(drawn._written)
     apart = (
         np.abs(boxes[:, None, :2] - boxes[None, :, :2]) - boxes[:, None, 2:] - boxes[None, :, 2:]

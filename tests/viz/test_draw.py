@@ -1,4 +1,3 @@
-import re
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 
@@ -53,7 +52,7 @@ def test_a_merge_names_its_runs_in_their_colours(merge_of) -> None:
     result, _ = merge_of([["a", "b"], ["lone"]])
     texts, titles = seen(draw_merged(result, LIGHT))
     assert {"3 runs of 2 sites", "a", "b", "run that is merged with none"} <= set(texts)
-    assert any(re.fullmatch(r"lone; turned by -?\d+°", text) for text in texts)
+    assert "lone" in texts
     assert set(titles) == {"a", "b", "lone"}
     svg = draw_merged(result, LIGHT).as_bytes("svg").decode()
     assert LIGHT.run(0) in svg
@@ -73,7 +72,9 @@ def test_a_site_is_drawn_with_the_numbers_of_its_junctions(merge_of) -> None:
 def test_where_numbers_have_no_room_pointing_tells_them(merge_of, monkeypatch) -> None:
     monkeypatch.setattr("topobatch.viz.draw.MOST_NUMBERED", 4)
     texts, titles = seen(draw_merged(merge_of([["a"], ["b", "c"]])[0], LIGHT, sites=[1]))
-    assert {f"junction {k}" for k in range(5, 10)} <= set(titles)
+    assert {f"Junction {k}" for k in range(5, 10)} <= {
+        title.split(":")[0].split(" (")[0] for title in titles
+    }
     assert any("point at one" in text for text in texts)
     assert "5" not in texts
 

@@ -15,8 +15,8 @@ from topobatch.topology.run import Scanned, ScanPasses
 from topobatch.topology.se2 import apply
 from topobatch.topology.topomap import TopoMap
 from topobatch.topology.views import CELL_M, SIDE, WALL, Views
-from topobatch.viz import palette
 from topobatch.viz.map_recording import write_map_recording
+from topobatch.viz.palette import DARK, rgb
 
 from .readback import Readback
 
@@ -71,7 +71,7 @@ def test_walls_lie_where_the_views_of_the_map_are(
     _, got = recorded(tmp_path / "a.rrd", topomap, odometry)
     (png,) = got.rows("/map/scans/walls", "EncodedImage:blob")
     shades = np.asarray(Image.open(BytesIO(bytes(png[0]))))
-    row, column = np.nonzero((shades == palette.WALL).all(axis=-1))
+    row, column = np.nonzero((shades == rgb(DARK["wall"])).all(axis=-1))
     (corner,) = got.value("/map/scans/walls", "Transform3D:translation")
     (scale,) = got.value("/map/scans/walls", "Transform3D:scale")
     walls = corner[:2] + (np.stack([column, row], axis=-1) + 0.5) * scale[0]

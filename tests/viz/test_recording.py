@@ -10,8 +10,8 @@ import pytest
 from PIL import Image
 
 from topobatch.topology.run import Grid
-from topobatch.viz import palette
 from topobatch.viz.map_recording import write_map_recording
+from topobatch.viz.palette import DARK, rgb
 
 from .readback import Readback
 
@@ -36,9 +36,9 @@ def test_the_grid_lies_where_its_origin_says(make_map, grid, tmp_path: Path) -> 
     shown = picture(drawn)
     # Row 0 at the least y: the view mirrors the picture with the map.
     assert shown.shape == (4, 6, 3)
-    assert (shown[1:3, 1:5] == palette.UNLIT).all()
-    assert (shown[3] == palette.BACKGROUND).all()
-    assert (shown[0] == palette.WALL).all()
+    assert (shown[1:3, 1:5] == rgb(DARK["unlit"])).all()
+    assert (shown[3] == rgb(DARK.paper)).all()
+    assert (shown[0] == rgb(DARK["wall"])).all()
     assert drawn.value("/map/grid", "Transform3D:translation") == [[3.0, -2.0, 0.0]]
     assert drawn.value("/map/grid", "Transform3D:scale") == [[0.5] * 3]
     write_map_recording(tmp_path / "b.rrd", make_map("run"))

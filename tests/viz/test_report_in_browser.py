@@ -115,9 +115,9 @@ def test_a_map_is_clicked_moved_zoomed_and_its_layers_switched(opened, html, tmp
     # Junction 2 of the square.
     place = page.evaluate(
         """async () => { const p = await plots.get(document.querySelector('.site .map'));
-        const s = p.renderers.map(r => r.data_source).filter(s => s.data.number);
-        const at = s.flatMap(d => d.data.number.map((n, k) => [n, d.data.x[k], d.data.y[k]]));
-        return at.find(row => row[0] === 2).slice(1) }"""
+        const at = p.renderers.filter(r => r.glyph.text).map(r => r.data_source)
+          .flatMap(s => s.every.map((n, k) => [n, s.data.x[k], s.data.y[k]]));
+        return at.find(row => row[0] === "2").slice(1) }"""
     )
     page.mouse.click(*at(page, MAP, *place))
     shows(page, ".site .told", "Junction 2:")

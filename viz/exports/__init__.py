@@ -15,28 +15,11 @@ from ..walls import walls_of
 from .free_ways import led_round
 from .graphml import graphml
 from .lif import lif_json
-from .map_server import map_picture, map_yaml
 from .nav2 import nav2_geojson
-from .pose_graph import pose_graph_g2o
 from .rmf import rmf_yaml
-from .route_graph import MAX_ERROR_M, RouteGraph, route_graph
+from .route_graph import MAX_ERROR_M
 from .tables import corridors_csv, junctions_csv
 from .tmap2 import tmap2_yaml
-from .tum import corrected_tum, recorded_tum
-
-__all__ = [
-    "ENDINGS",
-    "MAP_FORMATS",
-    "MAX_ERROR_M",
-    "RouteGraph",
-    "corrected_tum",
-    "map_picture",
-    "map_texts",
-    "map_yaml",
-    "pose_graph_g2o",
-    "recorded_tum",
-    "route_graph",
-]
 
 MapFormat = Callable[[TopoMap, float], str]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from topobatch.topology.map_pose_graph import map_pose_graph
-from topobatch.viz.exports import pose_graph_g2o
+from topobatch.viz.exports.pose_graph import pose_graph_g2o
 
 from .readers import read_g2o
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from topobatch.topology.polyline import way_of
-from topobatch.viz.exports import route_graph
+from topobatch.viz.exports.route_graph import route_graph
 
 from .readers import distance, read_nav2, read_rmf, read_tmap2, route_sigma, text_of
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from topobatch.topology.se2 import apply
-from topobatch.viz.exports import corrected_tum, recorded_tum
+from topobatch.viz.exports.tum import corrected_tum, recorded_tum
 
 from .readers import read_tum
 
