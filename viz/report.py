@@ -204,7 +204,7 @@ def _sites(report: Report) -> list[dict[str, Any]]:
                 f"{fused.lengths_m[0]:,.0f} m of corridors{to_turning_points(fused.turned)}"
                 f"{legible(weakest.get(c.id, ''))}",
                 "shape": round(wide / high, 3),
-                "turn": f"{np.degrees(upright_rad(fused.paths)):.0f}",
+                "turn": round(float(np.degrees(upright_rad(fused.paths)))),
                 "most": int(np.flatnonzero(result.fused.component == c.id).max(initial=0)),
             }
         )
