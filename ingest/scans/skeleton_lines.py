@@ -24,6 +24,10 @@ FEW_LINES = 1 << 13
 MOST_LINES = 1 << 14
 """A floor of 4,700 rooms has as many, which takes about three seconds."""
 
+MOST_CELLS = 64 * MOST_LINES
+"""Cells of a skeleton: lines of buildings have up to 60 each. That of a checkerboard fills half of
+the grid."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lines:
@@ -61,6 +65,12 @@ def lines_of(
 
     Raises DataError on noise, and if there are too many. O(h w).
     """
+    count = int(np.count_nonzero(skeleton))
+    if count > MOST_CELLS:
+        raise DataError(
+            f"{count:,} cells of the free space are the middle of a way, more than the "
+            f"{MOST_CELLS:,} that are traced: this is noise, or has to be cut into parts"
+        )
     cells = np.argwhere(skeleton)
     pairs, steps = _neighbours(cells)
     # A cell of a line has at most two neighbours.

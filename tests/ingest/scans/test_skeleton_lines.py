@@ -39,3 +39,9 @@ def test_noise_is_told_from_a_large_building(ways, cells, said):
     assert abs(len(lines.length_m) - 1 - ways) < 0.05 * ways
     # Between crossings, and into both.
     assert np.median(lines.length_m[1:]) == pytest.approx(0.1 * (cells + 1))
+
+
+def test_a_skeleton_that_fills_the_grid_is_noise():
+    cells = np.ones((1024, 1100), bool)
+    with pytest.raises(DataError, match="1,126,400 cells .* this is noise"):
+        lines_of(cells, cells.astype(np.float32), 0.1, ~cells)
