@@ -43,5 +43,5 @@ def test_noise_is_told_from_a_large_building(ways, cells, said):
 
 def test_a_skeleton_that_fills_the_grid_is_noise():
     cells = np.ones((1024, 1100), bool)
-    with pytest.raises(DataError, match="1,126,400 cells .* this is noise"):
+    with pytest.raises(DataError, match=r"1,126,400 cells .* this is noise"):
         lines_of(cells, cells.astype(np.float32), 0.1, ~cells)
