@@ -44,7 +44,8 @@ def draw(
     their branches, corridors wider the more often they were driven. The merged map: every corridor
     a ribbon with a strand for each run that drove it. A site: the same, with the numbers of its
     junctions in merged.json. A pair: one map laid over the other with the matched junctions tied;
-    of an ambiguous pair both placements side by side.
+    of an ambiguous pair both placements side by side; beside them the views that speak most for a
+    placement, and most against it.
 
     \b
       topobatch draw run1 run1.svg

@@ -28,8 +28,8 @@ import typer
 
 from ..topology.errors import DataError, UsageError
 
-WIDTH = 79
-"""Line width of sentences where no terminal tells its own."""
+WIDTH, NARROWEST = 79, 40
+"""Line width of sentences where no terminal tells its own, and its least: tables need as much."""
 
 COLOURS = {
     "merged": "green",
@@ -97,8 +97,10 @@ def painted(text: str) -> str:
 
 
 def width() -> int:
-    """Width of lines: that of the terminal."""
-    return shutil.get_terminal_size().columns - 1 if sys.stdout.isatty() else WIDTH
+    """Width of lines: that of the terminal, if it is not too narrow."""
+    if not sys.stdout.isatty():
+        return WIDTH
+    return max(shutil.get_terminal_size().columns - 1, NARROWEST)
 
 
 def say(text: str = "") -> None:

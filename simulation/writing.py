@@ -267,15 +267,14 @@ def write_run(folder: Path, simulated: SimulatedRun, container: str = "mcap") ->
     try:
         with TemporaryDirectory(prefix=".topobatch-", suffix=".tmp", dir=folder) as made:
             write(Path(made, path.name), simulated)
-            for others, _ in FORMATS.values():
-                for file in others:
-                    Path(folder, file.format(run)).unlink(missing_ok=True)
-            with suppress(OSError):  # the folder of such a log, now empty
-                (folder / run).rmdir()
             for file in files:
                 target = folder / file.format(run)
                 target.parent.mkdir(exist_ok=True)
                 os.replace(Path(made, file.format(run)), target)
+        for file in {file for others, _ in FORMATS.values() for file in others} - {*files}:
+            Path(folder, file.format(run)).unlink(missing_ok=True)
+        with suppress(OSError):  # the folder of such a log, now empty
+            (folder / run).rmdir()
     except OSError as error:
         raise OSError(error.errno, error.strerror, str(path)) from error
     except sqlite3.Error as error:

@@ -20,7 +20,7 @@ from ..merge.decision_text import (
 )
 from ..merge.result import shown_bits
 from ..topology.arrays import FloatArray
-from ..topology.matching.views import AGREES, CONTRADICTS, SILENT, Compared
+from ..topology.matching.views import CONTRADICTS, SILENT, Compared
 from ..topology.se2 import apply, compose, turned
 from ..topology.topomap import TopoMap
 from ..topology.turning_vertices import with_turning_points
@@ -29,7 +29,7 @@ from .canvas import Canvas
 from .draw import draw_frames
 from .geometry import MOST_NUMBERED, bounds, contradiction_spots, extent, usual_m
 from .palette import LARGE, RING, SMALL, THIN, Theme
-from .scene import draw_frame, draw_walls
+from .scene import draw_frame, draw_walls, view_layers
 from .sheet import arrange, corners_of, outline, upright_rad
 from .surface import Look
 from .walls import wall_points, walls_of
@@ -134,21 +134,18 @@ def _evidence(
 
 
 def _seen(canvas: Canvas, seen: Compared, T: FloatArray, larger: float) -> None:
-    """Draw the walls of two views over each other, those of a wider; what contradicts last.
-    larger: how much larger than in the map."""
+    """Draw the walls of two views over each other, those of a wider. larger: how much larger than
+    in the map."""
     theme, xy = canvas.theme, apply(T, larger * seen.xy)
-    for kind in (SILENT, AGREES, CONTRADICTS):
-        for run in (0, 1):
-            own = xy[(seen.kind == kind) & (seen.of_second == run)]
-            ink = theme["against"] if kind == CONTRADICTS else theme.run(run)
-            canvas.lines(
-                [*np.stack([own - TINY_M, own], axis=1)],
-                Look(
-                    theme.pale(ink) if kind == SILENT else ink,
-                    larger * CELL_M / canvas.pen_m / (1 + run),
-                    key=CONTRADICTIONS if kind == CONTRADICTS else "",
-                ),
-            )
+    for which, ink, kind, run in view_layers(seen, theme):
+        canvas.lines(
+            [*np.stack([xy[which] - TINY_M, xy[which]], axis=1)],
+            Look(
+                theme.pale(ink) if kind == SILENT else ink,
+                larger * CELL_M / canvas.pen_m / (1 + run),
+                key=CONTRADICTIONS if kind == CONTRADICTS else "",
+            ),
+        )
 
 
 def _numbers(

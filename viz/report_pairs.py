@@ -22,7 +22,7 @@ from ..merge.decision_text import (
     short,
 )
 from ..merge.result import Alignment, MergeResult, PairVerdict, Standing, home_of, shown_bits
-from ..topology.matching.views import AGREES, CONTRADICTS, SILENT, Compared
+from ..topology.matching.views import SILENT, Compared
 from ..topology.se2 import turned
 from ..topology.topomap import TopoMap
 from ..topology.views import CELL_M
@@ -30,6 +30,7 @@ from ..topology.wording import legible
 from .palette import BOTH, RING, SMALL, THIN, rgb
 from .parts import CLASS, runs_in_order, spans_of, strongest, verdict_matrix
 from .report_maps import CHOSEN, PEN_PX, blank_figure, map_figure, own_map, picture, write_beside
+from .scene import view_layers
 from .sheet import upright_rad
 
 FAINT = "50"
@@ -192,18 +193,15 @@ def _opened(
 
 def _seen(seen: Compared, turn_rad: float) -> str:
     """A picture of the walls of two views over each other, turned: those of a twice as wide, faint
-    where nothing is known of them in the other view; what contradicts last."""
+    where nothing is known of them in the other view."""
     xy = turned(seen.xy, turn_rad)
     reach = np.abs(xy).max(initial=0.0) + CELL_M
     at = np.floor((xy + reach) / (CELL_M / 2)).astype(np.int64)
     pixels = np.zeros((*(2 * [at.max(initial=0) + 2]), 4), np.uint8)
-    for kind in (SILENT, AGREES, CONTRADICTS):
-        for run in (0, 1):
-            ink = BOTH["against"] if kind == CONTRADICTS else BOTH.run(run)
-            alpha = int(FAINT, 16) if kind == SILENT else 255
-            x, y = at[(seen.kind == kind) & (seen.of_second == run)].T
-            for right, up in product(range(2 - run), repeat=2):
-                pixels[y + up, x + right] = (*rgb(ink), alpha)
+    for which, ink, kind, run in view_layers(seen, BOTH):
+        x, y = at[which].T
+        for right, up in product(range(2 - run), repeat=2):
+            pixels[y + up, x + right] = (*rgb(ink), int(FAINT, 16) if kind == SILENT else 255)
     return picture(pixels)
 
 

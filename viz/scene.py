@@ -5,7 +5,7 @@ What is drawn later lies above.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from ..merge.change import Change, ChangeKind, numbered
 from ..merge.drive import Drive
 from ..merge.result import FusedMap
 from ..topology.arrays import BoolArray, FloatArray
+from ..topology.matching.views import AGREES, CONTRADICTS, SILENT, Compared
 from ..topology.se2 import apply
 from ..topology.topomap import Graph
 from ..topology.views import Views
@@ -25,7 +26,7 @@ from .geometry import (
     strands,
 )
 from .pages import describe_corridor
-from .palette import LARGE, MEDIUM, RING, THIN
+from .palette import LARGE, MEDIUM, RING, THIN, Colour, Theme
 from .parts import Part
 from .sheet import Cell
 from .surface import Look, Surface
@@ -55,6 +56,16 @@ def draw_walls(
     grid = walls_of([v.moved(T) for v in views], "", max(FINE_M, surface.pen_m / 2))
     if grid is not None:
         surface.cells(grid, Look(colour, key=key), alpha)
+
+
+def view_layers(seen: Compared, theme: Theme) -> Iterator[tuple[BoolArray, Colour, int, int]]:
+    """The walls of two views laid over each other, from the lowest layer to the highest, in which
+    they contradict each other: which cells (k,), their colour, what they say, and of which of the
+    two they are."""
+    for kind in (SILENT, AGREES, CONTRADICTS):
+        for run in (0, 1):
+            ink = theme["against"] if kind == CONTRADICTS else theme.run(run)
+            yield (seen.kind == kind) & (seen.of_second == run), ink, kind, run
 
 
 def draw_unexplored(surface: Surface, m: Graph, T: FloatArray, free: BoolArray) -> None:

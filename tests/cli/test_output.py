@@ -9,7 +9,17 @@ from pathlib import Path
 
 import pytest
 
-from topobatch.cli.output import painted, plain, progress, say, show, warn, write_files
+from topobatch.cli.output import (
+    NARROWEST,
+    painted,
+    plain,
+    progress,
+    say,
+    show,
+    warn,
+    width,
+    write_files,
+)
 from topobatch.topology.errors import DataError
 
 
@@ -53,6 +63,13 @@ def test_verdicts_are_coloured_on_a_terminal_unless_that_is_unwanted(monkeypatch
     assert painted("remerged, ws/merged, nothing") == "remerged, ws/merged, nothing"
     monkeypatch.setenv("NO_COLOR", "1")
     assert painted("a + b: merged") == "a + b: merged"
+
+
+def test_lines_of_a_very_narrow_terminal_have_room_for_a_table(monkeypatch):
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    for columns, wide in ((8, NARROWEST), (100, 99)):
+        monkeypatch.setenv("COLUMNS", str(columns))
+        assert width() == wide
 
 
 def test_where_nothing_can_be_written_another_file_is_asked_for(monkeypatch):
