@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import multiprocessing
 import os
 import time
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
@@ -29,7 +28,7 @@ from ..topology.view_file import view_writes
 from ..topology.wording import counted, to_turning_points
 from .ingest_record import IngestRecord, origin
 from .output import counting
-from .process import lack_of_memory, processes
+from .process import forking_server, lack_of_memory, processes
 from .version import VERSION
 from .workspace import Workspace
 
@@ -91,8 +90,9 @@ def _side_by_side(
     left: list[IngestJob], workers: int, advance: Callable[[int], None]
 ) -> Iterator[IngestOutcome]:
     """Outcomes of jobs, which are taken from the list; those that a killed process ended stay."""
-    read = multiprocessing.Value("q")
-    with processes(workers, _share, read) as pool:
+    context = forking_server(__name__, "rerun")
+    read = context.Value("q")
+    with processes(workers, context, _share, read) as pool:
         waiting = {pool.submit(_ingest, job): job for job in left}
         while waiting:
             done, _ = wait(waiting, POLL_S, FIRST_COMPLETED)

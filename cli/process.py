@@ -53,14 +53,14 @@ def lack_of_memory(error: Exception) -> str | None:
 
 @contextmanager
 def processes(
-    number: int, begin: Callable[..., None] | None = None, *given: Any
+    number: int, context: Any = None, begin: Callable[..., None] | None = None, *given: Any
 ) -> Iterator[Executor]:
     """A pool of processes, started as needed, which end when the block is left by an error or
     Ctrl-C, whatever they do. begin: called in each of them first, with the further arguments."""
     import multiprocessing
     from concurrent.futures import ProcessPoolExecutor
 
-    with ProcessPoolExecutor(number, None, _start_worker, (begin, given)) as pool:
+    with ProcessPoolExecutor(number, context, _start_worker, (begin, given)) as pool:
         try:
             yield pool
         except BaseException:
@@ -76,8 +76,11 @@ def _start_worker(begin: Callable[..., None] | None, given: tuple[Any, ...]) -> 
     import threading
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    for number in ENDING:  # a process has the handlers of its parent
+    # A process has the handlers of its parent or, from a server, what that blocks.
+    for number in ENDING:
         signal.signal(number, signal.SIG_DFL)
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     if begin is not None:
         begin(*given)
@@ -91,3 +94,29 @@ def _end_with_parent() -> None:
     if parent is not None:
         parent.join()
         os._exit(1)
+
+
+def forking_server(*modules: str) -> Any:
+    """The context of processes that are forked from a server that has imported these modules once,
+    where available."""
+    import multiprocessing
+
+    if "forkserver" not in multiprocessing.get_all_start_methods():
+        return multiprocessing.get_context("spawn")
+    from multiprocessing import forkserver, resource_tracker
+
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(list(modules))
+    # Signals to a terminal's or a service's processes reach the server as well, and would end it
+    # before its time. It begins with what is blocked here. Its tracker would unblock them again.
+    resource_tracker.ensure_running()
+    blocked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, *ENDING})
+    try:
+        forkserver.ensure_running()
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
+    # Until it has imported all, a signal would leave processes behind that nobody waits for.
+    ready = context.Process(target=int)
+    ready.start()
+    ready.join()
+    return context

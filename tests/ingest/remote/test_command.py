@@ -37,7 +37,7 @@ def test_a_bucket_gives_the_same_documents_as_a_folder(fleet: Any, tmp_path: Pat
     assert record["log"] == f"{fleet.url}/fleet/mon/maze-1.mcap"
 
 
-@pytest.mark.parametrize("jobs", [1, pytest.param(2, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("jobs", [1, 2])
 def test_what_did_not_change_is_not_read_again(fleet: Any, tmp_path: Path, jobs: int) -> None:
     call = ("ingest", f"{fleet.url}/fleet/", "-w", tmp_path, "-j", jobs)
     assert topobatch(*call).returncode == 0
