@@ -4,9 +4,8 @@
 
 Writes one log per container (odometry, detections, images of one camera), reads each of them in a
 process of its own and prints the medians of the wall time, and the same ratios of CPU time, which
-a busy machine disturbs less. Ours inflates on two further threads, so that with a second core its
-wall time is below its CPU time; rosbags and the limit use one thread. The limit is reading every
-byte and decompressing every chunk, without checksums. What is read must equal rosbags' columns in
+a busy machine disturbs less. All use one thread. The limit is reading every byte and
+decompressing every chunk, without checksums. What is read must equal rosbags' columns in
 every bit: times, poses and detections, all of them, with yaws from the quaternions that rosbags
 gives. "peak MB" is memory above what the interpreter and the imports take. `--full`: a million
 odometry messages, 20,000 detections and 1 GB of images per log, which needs about 8 GB in DIR.

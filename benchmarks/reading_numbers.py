@@ -25,9 +25,7 @@ from typing import Any
 from ingest import Size, imports_of, measure_topobatch, write_bag, write_db3, write_mcap
 
 NUMBERS = {
-    "THREADS": "chunks",
-    "AHEAD_BYTES": "chunks",
-    "SMALL_BYTES": "chunks",
+    "TOGETHER_BYTES": "chunks",
     "INPUT_BYTES": "inflate",
     "PIECE_BYTES": "inflate",
     "DENSE": "intake",

@@ -10,10 +10,9 @@ from __future__ import annotations
 import re
 import struct
 from abc import ABC, abstractmethod
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
-from functools import cached_property, partial
+from functools import cached_property
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -25,7 +24,6 @@ from ..remote.source import Ranges
 from .channels import Channels
 from .inflate import (
     INFLATED_BYTES,
-    SLOW,
     WHOLE_BYTES,
     WRONG_SIZE,
     checksum,
@@ -52,15 +50,9 @@ from .source import LEAST_BYTES, SLAB_BYTES, Source, open_source
 
 ALLOW_SCAN = "--allow-scan"
 
-THREADS = 2
-"""Threads that decompress: reading, decompression and checksums release the interpreter's lock."""
-
 TOGETHER_BYTES = 1 << 18
 """Small chunks are decoded together up to this size: the work per chunk exceeds the work per
 byte."""
-
-AHEAD_BYTES, AHEAD = 1 << 25, 64
-"""Bytes, and chunks, read and decompressed ahead of the decoding."""
 
 TRIES = 1 << 18
 """Places of one file that are looked at in search of a record, 3 µs each."""
@@ -286,26 +278,12 @@ class Scan(ABC):
                 yield found.chunk
 
     def blocks(self, chunks: Iterator[Chunk]) -> Iterator[Block]:
-        """The messages of chunks, which are decompressed ahead; damaged ones are skipped."""
-        pool = ThreadPoolExecutor(THREADS)
-        waiting: deque[tuple[Chunk, Callable[[], bytes]]] = deque()
-        ahead = 0
-        try:
-            for chunk in chunks:
-                task = partial(_inflated, chunk, self._source.read)
-                slow = chunk.compression in SLOW and not _in_parts(chunk)
-                waiting.append((chunk, pool.submit(task).result if slow else task))
-                ahead += chunk.packed + chunk.size
-                while ahead > AHEAD_BYTES or len(waiting) > AHEAD:
-                    ahead -= waiting[0][0].packed + waiting[0][0].size
-                    yield from self._of_chunk(*waiting.popleft())
-            while waiting:
-                yield from self._of_chunk(*waiting.popleft())
-            yield from self._used_together()
-        finally:
-            pool.shutdown(cancel_futures=True)
+        """The messages of chunks; damaged ones are skipped."""
+        for chunk in chunks:
+            yield from self._of_chunk(chunk)
+        yield from self._used_together()
 
-    def _of_chunk(self, chunk: Chunk, inflated: Callable[[], bytes]) -> Iterator[Block]:
+    def _of_chunk(self, chunk: Chunk) -> Iterator[Block]:
         """The messages of a chunk, which is skipped if it is damaged."""
         try:
             more = excess(chunk.compression, chunk.packed, chunk.size)
@@ -316,7 +294,7 @@ class Scan(ABC):
                 yield from self._used_together()
                 yield from self._streamed(chunk)
             else:
-                self._held.append(inflated())
+                self._held.append(_inflated(chunk, self._source.read))
                 self._held_bytes += max(chunk.size, 64)  # an empty one takes memory as well
                 if self._held_bytes > TOGETHER_BYTES:
                     yield from self._used_together()
@@ -383,7 +361,7 @@ def _in_parts(chunk: Chunk) -> bool:
 
 
 def _inflated(chunk: Chunk, read: Read) -> bytes:
-    """The records of a chunk; raises DamageError. Thread-safe if `read` is."""
+    """The records of a chunk; raises DamageError."""
     data = read(chunk.at, chunk.packed)
     if chunk.compression:
         data = inflate(chunk.compression, data, chunk.size)

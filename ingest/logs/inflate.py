@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import bz2
 import functools
-import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -44,12 +43,6 @@ RATIOS, COSTS = {"bz2": 100}, {"bz2": 2}
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 _ZSTD_WORD = int.from_bytes(ZSTD_MAGIC, "little")
-
-SLOW = frozenset({"zstd", "bz2"})
-"""Compressions worth another thread: lz4 decompresses faster than a chunk moves between cores."""
-
-
-_local = threading.local()
 
 
 @functools.cache
@@ -113,13 +106,12 @@ def _unknown(compression: str) -> DamageError:
     return DamageError(f"compression {compression[:40]!r} is not known")
 
 
+@functools.cache
 def _decompressor() -> Any:
-    """That of this thread: making one takes 70 µs."""
+    """Making one takes 70 µs."""
     import zstandard
 
-    if not hasattr(_local, "zstd"):
-        _local.zstd = zstandard.ZstdDecompressor(max_window_size=WINDOW_BYTES)
-    return _local.zstd
+    return zstandard.ZstdDecompressor(max_window_size=WINDOW_BYTES)
 
 
 def pieces(compression: str, source: Any) -> Iterator[bytes]:

@@ -24,18 +24,50 @@ REMEMBERED_BYTES = 1 << 14
 message types used here."""
 
 
+_TRANSFORMS = "e41d186dfe5cb02c6b00c4ad42748258", "94810edda583a504dfda3829e70d7eec"
+
+LAYOUTS = {
+    "nav_msgs/msg/Odometry": (
+        "8defd31b6677fc3797c37aa6ac09af3e",
+        "cd5e73d190d741a2f92e81eda573aca7",
+    ),
+    "geometry_msgs/msg/PoseStamped": (
+        "64362206a284db490664e6fd9c66f4b4",
+        "d3812c3cbc69362b77dc0b19b345f8f5",
+    ),
+    "geometry_msgs/msg/PoseWithCovarianceStamped": (
+        "fec9797245e326f251407c760ee3fd92",
+        "953b798c0f514ff060a53a3498ce6246",
+    ),
+    "geometry_msgs/msg/PoseArray": (
+        "2d8fa74bf1752840cc028b9baa3d9b94",
+        "916c28c5764443f268b296bb671b9d97",
+    ),
+    "tf2_msgs/msg/TFMessage": _TRANSFORMS,
+    "tf/msg/tfMessage": _TRANSFORMS,
+    "sensor_msgs/msg/LaserScan": (
+        "27099baaa2e12d02bb113dcaacd7f1db",
+        "90c7ef2dc6895d81024acba2ac42f369",
+    ),
+}
+"""MD5 sums of ROS's own definitions in ROS 2 and in ROS 1, as `rosmsg md5` makes them. To compare
+with the definitions of rosbags would load all its types: a tenth of a second."""
+
+
 def is_usual(channel: Channel) -> bool:
-    """Whether the definition of a type of ROS is ROS's own, so that its layout is known.
+    """Whether the definition of a type of LAYOUTS is ROS's own, so that its layout is known.
 
     True also for a log without definitions, or with one that cannot be read: the type's name is
     trusted then.
     """
+    if not channel.schema:
+        return True
     try:
-        own = _checked_store(channel).fielddefs
-        usual = _checked_store(channel._replace(schema=b"")).fielddefs
+        store = _checked_store(channel)
     except DamageError:
         return True
-    return all(name not in usual or usual[name][1] == own[name][1] for name in own)
+    _, digest = store.generate_msgdef(channel.type_name, ros_version=1)
+    return bool(digest == LAYOUTS[channel.type_name][channel.encoding == "ros1"])
 
 
 def object_decoder(channel: Channel) -> Callable[[bytes], Any]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -19,7 +18,7 @@ LEAST_BYTES = 1 << 14
 
 
 class FileSource:
-    """A file here; raises LogError if it cannot be read. Threads may share it."""
+    """A file here; raises LogError if it cannot be read."""
 
     def __init__(self, path: Path) -> None:
         try:
@@ -28,7 +27,6 @@ class FileSource:
         except OSError as error:
             raise LogError(f"{path}: cannot be opened ({error.strerror})") from error
         self._path = path
-        self._lock = threading.Lock()
 
     def __enter__(self) -> FileSource:
         return self
@@ -47,9 +45,8 @@ class FileSource:
         if length <= 0:
             return b""  # the offset may be one that no file can have
         try:
-            with self._lock:
-                self._file.seek(offset)
-                data = self._file.read(length)
+            self._file.seek(offset)
+            data = self._file.read(length)
         except OSError as error:
             raise LogError(f"{self._path}: cannot be read ({error.strerror})") from error
         if len(data) < length:

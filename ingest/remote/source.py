@@ -5,7 +5,6 @@ Blocks that were read are kept within a limit of memory, since logs are read mor
 
 from __future__ import annotations
 
-import threading
 from bisect import bisect_right
 from collections import OrderedDict
 from collections.abc import Callable, Iterator
@@ -27,7 +26,7 @@ AHEAD_BYTES, AHEAD = 4 * PART_BYTES, 16
 than decoding needs, and short requests are dominated by latency."""
 
 HELD_BYTES = 1 << 26
-"""Bytes kept of a log: more than its walk holds at a time (`logs.chunks.AHEAD_BYTES`)."""
+"""Bytes kept of a log: more than its walk holds at a time."""
 
 Ranges = list[tuple[int, int]]
 """First bytes, and those after the last."""
@@ -37,7 +36,7 @@ Ask = Callable[[tuple[int, int]], Future[Got]]
 
 
 class RemoteFile:
-    """One object for reading; thread-safe. Raises LogError on server errors.
+    """One object for reading. Raises LogError on server errors.
 
     known: bytes that were read before, if any; ask: requests further ones.
     """
@@ -45,7 +44,6 @@ class RemoteFile:
     def __init__(self, size: int, known: Got | None, ask: Ask) -> None:
         self.size = size
         self._ask = ask
-        self._lock = threading.Lock()
         self._held: OrderedDict[int, bytes] = OrderedDict()
         self._parts: Ranges = []
         self._begun: dict[int, Future[Got]] = {}
@@ -68,8 +66,7 @@ class RemoteFile:
     def read(self, offset: int, length: int) -> bytes:
         """The bytes [offset, offset + length), fewer at the object's end."""
         first, stop = offset // BLOCK_BYTES, -(-min(offset + length, self.size) // BLOCK_BYTES)
-        with self._lock:
-            blocks = [self._block(k, stop) for k in range(first, stop)]
+        blocks = [self._block(k, stop) for k in range(first, stop)]
         at = offset - first * BLOCK_BYTES
         return b"".join(blocks)[at : at + length]
 

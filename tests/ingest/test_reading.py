@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from topobatch.ingest.logs.schema import LAYOUTS
 from topobatch.ingest.reading import ReadSettings, find_logs, inspect_log, read_run
 from topobatch.topology.errors import LogError, UsageError
 from topobatch.topology.se2 import apply, wrap
@@ -143,6 +144,13 @@ def test_several_junctions_of_one_message_and_json_in_strings(logs, tmp_path):
         np.testing.assert_allclose(run.detections.branches[0], [0.5, 1.5])
         np.testing.assert_allclose(run.detections.branches[1], [np.pi / 2])
         assert run.detections.centre[:2].tolist() == [[1.0, 2.0], [-1.0, 2.5]]
+
+
+@pytest.mark.parametrize("ros1", [False, True])
+def test_the_layouts_are_those_of_ros(logs, ros1):
+    store = logs.store_of(ros1)
+    for name in LAYOUTS.keys() - {"tf/msg/tfMessage"}:
+        assert store.generate_msgdef(name, ros_version=1)[1] == LAYOUTS[name][ros1]
 
 
 def test_an_unusual_definition_is_decoded_by_its_schema(logs, tmp_path):
