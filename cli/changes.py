@@ -56,8 +56,8 @@ def changes(
         maps = place.maps_as_merged(result, one.id, sorted(one.poses))
         with place.document_at_fault():
             found += changes_of(result, one.id, maps)
-    told = numbered(c for c in found if everything or c.sure)
-    shown = [change for _, change in told]
+    listed = numbered(c for c in found if everything or c.sure)
+    shown = [change for _, change in listed]
     if output is not None and form is not None:
         write_files({output: _drawn(place, result, several, shown, theme).as_bytes(form)})
     if as_json:
@@ -65,7 +65,7 @@ def changes(
         say_json([change_to_document(c) | {"site": sites[c.component]} for c in shown])
         return
     for one in several:
-        own = [(k, change) for k, change in told if change.component == one.id]
+        own = [(k, change) for k, change in listed if change.component == one.id]
         if not own:
             say(f"{one.name}: nothing changed")
         for k, change in own:

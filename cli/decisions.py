@@ -289,12 +289,12 @@ def site(
     with place.held():
         before = place.sites()
         try:
-            told = [_name(place, *pair) for pair in zip(words[::2], words[1::2], strict=True)]
+            lines = [_name(place, *pair) for pair in zip(words[::2], words[1::2], strict=True)]
             made_again(place, place.runs())
         except UsageError:
             place.decide(sites=before)
             raise
-        for line in told:
+        for line in lines:
             note(place, "site", line)
             say(f"site {line}")
     if not place.merged_json.is_file():

@@ -16,7 +16,7 @@ from .matching import kept_results, settings_of
 from .options import HereWithMerge, JsonOption, argument, complete_run, option, verb
 from .output import say, say_json, say_lines, width
 from .paper_options import PaperOptions
-from .stale import changed_since, told_changed
+from .stale import changed_since, describe_changed
 from .workspace import MERGED, Workspace
 
 TO_MERGE = "topobatch merge --all"
@@ -114,7 +114,7 @@ def decided(place: Workspace, pair: tuple[str, str]) -> tuple[TopoMap, TopoMap, 
     else:
         merge = Merge.of(result, read, settings, place.locks(), kept)
         new = changed_since(place, result.info.get("maps") or {}, pair)
-        notes = [f"{told_changed(new)}; merge again"] if new else []
+        notes = [f"{describe_changed(new)}; merge again"] if new else []
     decision = explain(merge, *pair)
     a, b = map(read, pair)
     notes += decision.notes
@@ -146,13 +146,13 @@ def _by_paper(
     settings = settings_of(place, place.last_result()).paper
     found = explained(map_a, map_b, options.over(settings))
     document = place.read_merged() if place.merged_json.is_file() else None
-    said = None if document is None else document.entry(*pair)
+    entry = None if document is None else document.entry(*pair)
     if as_json:
-        say_json(to_document(found) | {"verdict": said and said.model_dump()})
+        say_json(to_document(found) | {"verdict": entry and entry.model_dump()})
         return
     for line in lines(found, rows or 20):
         say_lines(line)
-    if document is not None and said is not None:
+    if document is not None and entry is not None:
         by = f"{place.merged_json.name}, by the {document.graph.method} method"
-        bits = f"{shown_bits(said.evidence_bits)} bits: {said.reason}"
-        say(f"verdict of {by}: {said.verdict}, {bits}")
+        bits = f"{shown_bits(entry.evidence_bits)} bits: {entry.reason}"
+        say(f"verdict of {by}: {entry.verdict}, {bits}")

@@ -153,10 +153,10 @@ def _component(place: Workspace, result: MergeResult, component: Component, name
         warn(f"{error}; exported without it")
     stale = stale_runs(result, component.id, maps)
     if stale:
-        told = ", ".join(f"{run} {why}" for run, why in list(stale.items())[:3])
+        why_stale = ", ".join(f"{run} {why}" for run, why in list(stale.items())[:3])
         warn(
             f"component {component.id}: times are left out: not all maps are those that were "
-            f"merged ({told}); merge again"
+            f"merged ({why_stale}); merge again"
         )
     with place.document_at_fault():
         topomap = component_map(result, component.id, name, maps)

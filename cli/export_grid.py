@@ -61,13 +61,13 @@ def grid_texts(
         raise DataError(f"{source.name}: {_why_bare(place, source)}")
     if bare:
         warn(f"{listed(bare, 3)}: no laser shows walls; the grid is without")
-    grid, told = _grid(place, source, log)
+    grid, remarks = _grid(place, source, log)
     if grid is None:
         raise DataError(f"{source.name}: nothing is known of its walls")
     frame = f"{source.name}, in the frame {source.topomap.frame} of its other exports"
     return {
         PICTURE: map_picture(grid),
-        ".yaml": map_yaml(grid, picture, [frame, *told]),
+        ".yaml": map_yaml(grid, picture, [frame, *remarks]),
     }
 
 
@@ -129,8 +129,8 @@ def _seen(
     except (TopobatchError, OSError) as error:
         if named is not None:
             raise
-        told = f"the walls of {topomap.run} are those of its views, in cells of {VIEW_CELL_M:g} m"
-        warn(f"{error}; {told}")
+        walls = f"the walls of {topomap.run} are those of its views, in cells of {VIEW_CELL_M:g} m"
+        warn(f"{error}; {walls}")
         return None
 
 
@@ -165,8 +165,8 @@ def _grid(place: Workspace, source: Exported, log: LogPath | None) -> tuple[Grid
     pictures.sort(key=lambda g: 0 if g is None else -int((~g.unknown).sum()))
     found = [cast.grid(frame), *pictures, walls_of(laid, frame, cast.cell_m)]
     parts = {"scans": by_scans, "saved maps": saved, "views": others}
-    told = [f"{what} of {', '.join(sorted(runs))}" for what, runs in parts.items() if runs]
-    return layered([grid for grid in found if grid is not None]), told
+    remarks = [f"{what} of {', '.join(sorted(runs))}" for what, runs in parts.items() if runs]
+    return layered([grid for grid in found if grid is not None]), remarks
 
 
 def _cell_m(source: Exported, saved: Mapping[str, Grid], placed: Mapping[str, Placed]) -> float:

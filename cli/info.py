@@ -20,9 +20,9 @@ from .options import (
     JsonOption,
     ReadOptions,
     argument,
+    describe_settings,
     option,
     settings_of,
-    told_settings,
     verb,
 )
 from .output import complain, counting, megabytes, progress, say, say_json, table
@@ -74,13 +74,13 @@ def info(
     """
     settings = read.settings()
     if (remembered := settings_of(place)) and not as_json:
-        say(f"{place.settings_toml}: {told_settings(remembered)}")
+        say(f"{place.settings_toml}: {describe_settings(remembered)}")
     if not logs and not remembered:
         raise UsageError("name a log: topobatch info LOG")
     known, missing = read.logs(logs or ())
     for _, error in missing:
         complain(str(error))
-    failed, told = bool(missing), []
+    failed, described = bool(missing), []
     usable = scanned = 0
     for each, run in run_names(known).items():
         try:
@@ -94,7 +94,7 @@ def info(
             found = _tried(found, each, replace(how, strict=not found.problems))
         if as_json:
             path = str(found.path).encode("utf-8", "backslashreplace").decode()
-            told.append(asdict(found) | {"path": path})
+            described.append(asdict(found) | {"path": path})
         else:
             for line in [*_described(found), *_faults(found, tried=how is not None)]:
                 say(line)
@@ -102,7 +102,7 @@ def info(
         usable += found.usable
         scanned += found.usable and any(t.messages and t.type_name in SCANS for t in found.topics)
     if as_json:
-        say_json(told)
+        say_json(described)
     elif len(known) + len(missing) > 1:
         logs_of = counted(len(known) + len(missing), "log")
         say(f"{logs_of}: {usable} usable, {scanned} of them with a laser or clouds")
@@ -129,10 +129,10 @@ def _tried(found: LogInfo, log: LogPath, settings: ReadSettings) -> LogInfo:
             run = read_log(log, settings, on_bytes=counting(advance))
             require_junctions(run)
         except (DataError, UsageError) as error:
-            told = str(error)
+            text = str(error)
             for problem in found.problems:
-                told = told.replace(f"; {problem}", "")
-            problems = tuple(dict.fromkeys([*found.problems, told]))
+                text = text.replace(f"; {problem}", "")
+            problems = tuple(dict.fromkeys([*found.problems, text]))
             return replace(found, problems=problems, usable=False)
     found = as_read(found, run.source)
     return replace(found, warnings=tuple(w for w in run.warnings if w not in found.problems))

@@ -160,7 +160,7 @@ def _at(log: LogPath) -> LogPath:
 
 
 def _run_all(
-    planned: list[IngestJob | IngestOutcome], asked: int, outcomes: list[IngestOutcome]
+    planned: list[IngestJob | IngestOutcome], jobs_at_once: int, outcomes: list[IngestOutcome]
 ) -> None:
     """Run all jobs, in this process or in several; a line per finished log. Outcomes are added to
     the list as they are known."""
@@ -173,7 +173,7 @@ def _run_all(
     sizes = {job.run: job_size(job) for job in jobs}
     total = sum(sizes.values())
     worth = min(os.cpu_count() or 1, total // WORTH_A_PROCESS_BYTES)
-    workers = max(1, min(asked or worth, len(jobs)))
+    workers = max(1, min(jobs_at_once or worth, len(jobs)))
     # Reading a log is half of the work, making its map the other half.
     with progress("ingesting", 2 * total) as advance:
         read = finished = mapped = kept = 0
@@ -219,7 +219,7 @@ def _summarise(outcomes: list[IngestOutcome], place: Workspace) -> None:
         say(f"{counted(len(done), 'log')}{way} → {found}")
     if good:
         same = f" ({unchanged} unchanged)" if unchanged else ""
-        told = f"{counted(good, 'map')} of {logs} in {place.maps}{same}"
-        say(f"{told}; next: {place.call('merge', '--all')}")
+        maps = f"{counted(good, 'map')} of {logs} in {place.maps}{same}"
+        say(f"{maps}; next: {place.call('merge', '--all')}")
     if failed and len(outcomes) > 1:
         complain(f"{len(failed)} of {logs} failed: {listed(failed)}")

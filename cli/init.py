@@ -15,9 +15,9 @@ from .options import (
     Here,
     MapOptions,
     ReadOptions,
+    describe_settings,
     option,
     settings_text,
-    told_settings,
     verb,
 )
 from .output import say_lines
@@ -56,5 +56,5 @@ def init(
     text = settings_text(given)
     with place.held(make=True):
         write_text(place.settings_toml, text)
-        note(place, "init", told_settings(given) or "nothing")
+        note(place, "init", describe_settings(given) or "nothing")
     say_lines(f"{text}{place.settings_toml}")

@@ -118,8 +118,10 @@ def ingest(
     for _, error in missing:
         raise error
     if len(logs) > 1 and alone:
-        told = listed([str(each) for each in logs], 3)
-        raise UsageError(f"{given[0]}: holds {len(logs)} logs; name one: {told}; or give [folder]")
+        raise UsageError(
+            f"{given[0]}: holds {len(logs)} logs; name one: "
+            f"{listed([str(each) for each in logs], 3)}; or give [folder]"
+        )
     if len(logs) > 1 and name is not None:
         raise UsageError(f"name goes with one log; {len(logs)} are given")
     names = run_names(logs) if name is None else dict.fromkeys(logs, checked_file_name(name))

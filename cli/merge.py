@@ -133,13 +133,13 @@ def merge(
         last = last or last_merge(place)
         result, moved = made(place, maps, how.settings(paper), last, where)
         runs_of = counted(sum(len(c.poses) for c in result.components), "run")
-        told = "; ".join([f"{place.merge}: {runs_of}, {describe_pairs(result)}", *moved])
-        note(place, "merge", f"{told}{by_settings(place)}")
+        summary = "; ".join([f"{place.merge}: {runs_of}, {describe_pairs(result)}", *moved])
+        note(place, "merge", f"{summary}{by_settings(place)}")
     _show(result, place)
     for each in moved:
         say_folded(each)
     if as_json:
-        say_json(_told(place, result))
+        say_json(_document(place, result))
     if broken:
         raise typer.Exit(1)
 
@@ -256,7 +256,7 @@ def _next_steps(result: MergeResult, place: Workspace) -> Iterator[str]:
         yield f"all on one page: {page}; route graphs: {graphs}"
 
 
-def _told(place: Workspace, result: MergeResult) -> dict[str, Any]:
+def _document(place: Workspace, result: MergeResult) -> dict[str, Any]:
     """The merge as JSON values: its files, its sites, the number of pairs by standing."""
     return {
         "merged": str(place.merged_json),

@@ -365,10 +365,10 @@ def settings_text(settings: Mapping[str, Any]) -> str:
 
 def by_settings(place: Workspace) -> str:
     """What follows the line of a call in the journal: the settings that it could take."""
-    told = told_settings(settings_of(place))
-    return f"; {place.settings_toml.name}: {told}" if told else ""
+    settings = describe_settings(settings_of(place))
+    return f"; {place.settings_toml.name}: {settings}" if settings else ""
 
 
-def told_settings(settings: Mapping[str, Any]) -> str:
+def describe_settings(settings: Mapping[str, Any]) -> str:
     """The settings in one line; "" without any."""
     return ", ".join(f"{_option(name)} = {value}" for name, value in settings.items())

@@ -261,13 +261,13 @@ def progress(label: str, total: int, unit: str = "") -> Iterator[Advance]:
         TimeRemainingColumn,
     )
 
-    what, told = (
-        TextColumn(f"{{task.{name}}}", markup=False) for name in ("description", "fields[told]")
+    what, amount = (
+        TextColumn(f"{{task.{name}}}", markup=False) for name in ("description", "fields[amount]")
     )
     clock = TimeRemainingColumn(elapsed_when_finished=True) if total else TimeElapsedColumn()
-    columns = (what, BarColumn(), told, TextColumn("left:" if total else ""), clock)
+    columns = (what, BarColumn(), amount, TextColumn("left:" if total else ""), clock)
     bar = Progress(*columns, console=Console(stderr=True), transient=True)
-    task = bar.add_task(label, total=total or None, told="")
+    task = bar.add_task(label, total=total or None, amount="")
 
     def advance(done: int, words: str = "", doing: str = "", kept: int = 0) -> None:
         known = words
@@ -277,7 +277,7 @@ def progress(label: str, total: int, unit: str = "") -> Iterator[Advance]:
             known = f"{done:,} of {total:,} {unit}"
         # The time left goes by the fresh work alone.
         bar.update(task, total=max(total - kept, 0) or None, completed=done - kept)
-        bar.update(task, told=known, description=doing or label)
+        bar.update(task, amount=known, description=doing or label)
 
     with bar:
         _call.bar = bar

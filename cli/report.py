@@ -22,7 +22,7 @@ from .matching import kept_results, settings_of
 from .next_drives import nothing_worth
 from .options import HereWithMerge, argument, verb
 from .output import Advance, begin, checked_output, complain, progress, say, write_files
-from .stale import changed_since, told_changed
+from .stale import changed_since, describe_changed
 from .version import VERSION
 from .workspace import MERGED, Workspace
 
@@ -67,18 +67,18 @@ def report(
         maps, errors = place.read_maps(place.runs())
         for error in errors.values():
             complain(f"{error}; left out")
-        told = "The map of {} cannot be read and is left out: {}"
-        notes = [told.format(run, error) for run, error in errors.items()]
+        unreadable = "The map of {} cannot be read and is left out: {}"
+        notes = [unreadable.format(run, error) for run, error in errors.items()]
         new = changed_since(place, result.info.get("maps") or {}, list(maps)) if result else []
-        notes += [f"Merge again: {told_changed(new)}"] if new else []
+        notes += [f"Merge again: {describe_changed(new)}"] if new else []
         # What is worked out again from the maps that were merged.
         merged = result if not notes else None
         home = {c.id: c.name for c in result.components} if result else {}
         decisions = _decisions(place, merged, maps, advance) if merged else {}
         changed = all_changes(merged, maps) if merged else []
         for pair, one in decisions.items():
-            between = [told for told in changed if told.sure and told.differs_for(*pair)]
-            words = [told.words(home[told.component])[0] for told in between]
+            between = [c for c in changed if c.sure and c.differs_for(*pair)]
+            words = [c.words(home[c.component])[0] for c in between]
             decisions[pair] = replace(one, notes=(*one.notes, *words))
         advance(0, doing="drawing the page")
         found = drives(result) if result else ()

@@ -31,7 +31,7 @@ def changed_since(place: Workspace, merged: Mapping[str, str], runs: Sequence[st
     return [run for run, content in now.items() if content != merged[run]]
 
 
-def told_changed(runs: Sequence[str]) -> str:
+def describe_changed(runs: Sequence[str]) -> str:
     """That the maps of these runs are not the ones that were merged."""
     return f"the map{'' if len(runs) == 1 else 's'} of {listed(runs, 3)} changed since the merge"
 

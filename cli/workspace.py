@@ -265,9 +265,9 @@ class Workspace:
 
     def no_maps(self) -> DataError:
         """What to say of a workspace without maps, or of none."""
-        told = "holds no maps yet" if self.root.is_dir() else "there is no such workspace"
+        what = "holds no maps yet" if self.root.is_dir() else "there is no such workspace"
         return DataError(
-            f"{self.root}: {told}; make maps with `topobatch ingest LOG…`, or name another "
+            f"{self.root}: {what}; make maps with `topobatch ingest LOG…`, or name another "
             "--workspace"
         )
 
@@ -340,11 +340,11 @@ class Workspace:
 
         maps = {run: self.read_map(run) for run in runs}
         stale = stale_runs(result, component, maps)
-        told = [f"{run} {stale[run]}" for run in runs if run in stale]
-        if told:
+        changed = [f"{run} {stale[run]}" for run in runs if run in stale]
+        if changed:
             raise DataError(
-                f"{self.maps}: not all maps are those that were merged ({listed(told, 3)}); merge "
-                "again"
+                f"{self.maps}: not all maps are those that were merged ({listed(changed, 3)}); "
+                "merge again"
             )
         return maps
 

@@ -61,12 +61,12 @@ class FixedTransforms:
 
     def __str__(self) -> str:
         kinds = ("fixed", self.value), ("moving", self.moving)
-        told = [
+        lists = [
             f"{kind}: {listed([f'{a} → {b}' for a, b in sorted(pairs)], 6)}"
             for kind, pairs in kinds
             if pairs
         ]
-        return "; ".join(told) or "the log holds no transforms between frames; record /tf_static"
+        return "; ".join(lists) or "the log holds no transforms between frames; record /tf_static"
 
 
 NO_TRANSFORMS = FixedTransforms()

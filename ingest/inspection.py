@@ -90,11 +90,11 @@ def as_read(found: LogInfo, source: Mapping[str, Any]) -> LogInfo:
     """The contents of a log, with what was left out of it once it was read; source: of the run."""
     left_out = source.get("left_out", {})
 
-    def told(topic: TopicInfo) -> TopicInfo:
+    def with_use(topic: TopicInfo) -> TopicInfo:
         why = left_out.get(topic.topic)
         return topic if why is None else replace(topic, use="", why=f"not used: {why}")
 
-    return replace(found, topics=tuple(told(topic) for topic in found.topics))
+    return replace(found, topics=tuple(with_use(topic) for topic in found.topics))
 
 
 def _saved_map_info(recording: Recording, path: Path) -> LogInfo:

@@ -55,13 +55,13 @@ _PHANTOM = "taken back: driven by unseen, so that the place is taken for a phant
 def map_of_log(log: Run | GridLog, settings: MappingSettings = DEFAULT_MAPPING) -> TopoMap:
     """The map of a log: of a run by `build_map`, of a grid by its skeleton. Raises DataError, with
     the faults of the log, which may be the reason."""
-    with _faults_told(log):
+    with _faults_named(log):
         return _map_of_grid(log, settings) if isinstance(log, GridLog) else build_map(log, settings)
 
 
 def require_junctions(log: Run | GridLog, settings: MappingSettings = DEFAULT_MAPPING) -> None:
     """The errors of `map_of_log`, without closing loops."""
-    with _faults_told(log):
+    with _faults_named(log):
         if isinstance(log, GridLog):
             _map_of_grid(log, settings)
         else:
@@ -69,7 +69,7 @@ def require_junctions(log: Run | GridLog, settings: MappingSettings = DEFAULT_MA
 
 
 @contextmanager
-def _faults_told(log: Run | GridLog) -> Iterator[None]:
+def _faults_named(log: Run | GridLog) -> Iterator[None]:
     try:
         yield
     except DataError as error:

@@ -68,8 +68,8 @@ def mounting(
     """
     if settings.laser_pose is not None:
         x, y, yaw = settings.laser_pose
-        told = planar(x, y, yaw)
-        return Mounting(otherwise=lambda _: told), []
+        pose = planar(x, y, yaw)
+        return Mounting(otherwise=lambda _: pose), []
     lost = sorted(name for name in set(frames) if name not in where.known)
     if not lost:
         return Mounting(where.known, mount_of_camera), []

@@ -118,7 +118,7 @@ def read_log(
         raise kind("; ".join([str(error), *damage_of(recording)])) from error
     finally:
         progress.finish()
-    further = [told for told in _damage(recording, settings) if told not in warnings]
+    further = [damage for damage in _damage(recording, settings) if damage not in warnings]
     return replace(found, warnings=(*found.warnings, *further))
 
 
@@ -159,12 +159,12 @@ def _with_views(read: LogRead, run: Run, body: str, clock: Clock, track: Track) 
     from .scan_reading import views_beside  # loads what most runs do without
 
     try:
-        views, about, told = views_beside(read, source, body, clock, track)
+        views, about, warnings = views_beside(read, source, body, clock, track)
     except DataError as error:
-        told = [f"places are known by their junctions alone: {error}"]
-        return replace(run, warnings=(*run.warnings, *told))
+        warnings = [f"places are known by their junctions alone: {error}"]
+        return replace(run, warnings=(*run.warnings, *warnings))
     about = {**run.source, "views": about}
-    return replace(run, views=views, source=about, warnings=(*run.warnings, *told))
+    return replace(run, views=views, source=about, warnings=(*run.warnings, *warnings))
 
 
 def _with_scans(read: LogRead, source: JunctionSource) -> Run:

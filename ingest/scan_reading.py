@@ -45,10 +45,10 @@ def with_scans(read: LogRead, source: JunctionSource) -> Run:
         except DataError:
             run = None  # the error is told of the odometry, below
         if run is not None and _extent_m(run.odometry.pose) > MOVES_M:
-            told = f"{topic}: {still}; left out: each scan was matched to the one before"
+            without = f"{topic}: {still}; left out: each scan was matched to the one before"
             left_out = {topic: still, **run.source.get("left_out", {})}
             about = {**run.source, "left_out": left_out}
-            return replace(run, source=about, warnings=(told, *run.warnings))
+            return replace(run, source=about, warnings=(without, *run.warnings))
     return _run(read, source, odometry, body)
 
 
@@ -83,12 +83,12 @@ def _run(
     warnings += [*(way.warnings if way else ()), *found.warnings]
     scans = _Scans(read, found, clock, way.recorded if way else None)
     try:
-        result, stream, told = _detected(scans, way.odometry if way else None)
+        result, stream, found_out = _detected(scans, way.odometry if way else None)
     except DataError as error:
         named = ", ".join(laser.topic for laser in found.used)
         alone = f"; --scan-topic {first.topic} uses one alone" if len(found.used) > 1 else ""
         raise DataError(f"{read.log}: {named}: {error}{alone}") from error
-    warnings += [*told, *stream.warnings, *result.warnings]
+    warnings += [*found_out, *stream.warnings, *result.warnings]
     statistics = asdict(result.statistics)
     for name, value in statistics.items():
         if isinstance(value, float):  # unknown values are None
@@ -118,13 +118,13 @@ def views_beside(
     """
     found = lasers(read, source, body)
     scans = _Scans(read, found, clock, track.recorded)
-    result, stream, told = _detected(scans, track.odometry)
+    result, stream, warnings = _detected(scans, track.odometry)
     views = result.scanned.views
     body_pose = result.odometry.at(views.time_ns)
     views = replace(views, pose=between(body_pose, views.pose))
     first = found.used[0]
     about = {"from": source.way, "topic": first.topic, "type": first.choice.type_name}
-    return views, about, [*found.warnings, *told, *stream.warnings, *result.warnings]
+    return views, about, [*found.warnings, *warnings, *stream.warnings, *result.warnings]
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,14 +153,14 @@ class _Scans:
             )
 
         ask = partial(yaw_of, recorded) if recorded is not None else None
-        mounts, told = mounting(self.lasers.where, first.frames, self.read.settings, ask)
+        mounts, warnings = mounting(self.lasers.where, first.frames, self.read.settings, ask)
         mounts = replace(mounts, overturned=overturned)
         # Every laser's stream reads all of the log: one reports the progress.
         streams = [
             self._stream_of(laser, mounts, self.read.progress if laser is first else None)
             for laser in self.lasers.used
         ]
-        return InterleavedScans(streams), told
+        return InterleavedScans(streams), warnings
 
     def _stream_of(
         self, laser: Laser, mounts: Mounting, on_bytes: Callable[[int], None] | None = None
@@ -186,10 +186,10 @@ def _detected(
     """
     may_lag, overturned, found = True, False, list[str]()
     while True:
-        stream, told = scans.stream(overturned)
+        stream, warnings = scans.stream(overturned)
         try:
             result = detect(odometry, stream, may_lag=may_lag, on_keyframes=scans.read.on_keyframes)
-            return result, stream, told + found
+            return result, stream, warnings + found
         except MirroredError as error:
             if overturned:
                 raise DataError(f"turned over {error}: it fits neither way up") from error

@@ -170,7 +170,7 @@ def damage_of(recording: Recording) -> list[str]:
             f"metadata.yaml counts {several(recording.declared, 'message')}, "
             f"{first.messages} {'was' if first.messages == 1 else 'were'} found"
         )
-    return list(dict.fromkeys([*damage, *(told for found in others for told in found.losses)]))
+    return list(dict.fromkeys([*damage, *(loss for found in others for loss in found.losses)]))
 
 
 @dataclass(slots=True, eq=False)
@@ -183,16 +183,16 @@ class Progress:
     size: int
     walks: int
     on_bytes: OnBytes | None
-    _told: int = 0
+    _reported: int = 0
     _read: int = 0
 
     def __call__(self, count: int) -> None:
         """Report that so many more bytes were read, in any pass."""
         self._read = min(self._read + count, self.walks * self.size)
         upto = self._read // self.walks
-        if self.on_bytes is not None and upto > self._told:
-            self.on_bytes(upto - self._told)
-            self._told = upto
+        if self.on_bytes is not None and upto > self._reported:
+            self.on_bytes(upto - self._reported)
+            self._reported = upto
 
     def finish(self) -> None:
         """Report that all passes are done."""

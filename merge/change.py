@@ -96,8 +96,8 @@ class Change:
                 [(w.first_ns, w.run, "found") for w in self.there]
                 + [(w.first_ns, w.run, "missing") for w in self.missing]
             )
-            told = [f"{how} {utc(t, _MINUTE)} ({run})" for t, run, how in found]
-            return "; ".join(told)
+            findings = [f"{how} {utc(t, _MINUTE)} ({run})" for t, run, how in found]
+            return "; ".join(findings)
         before, after = self.between
         old, new = ("found", "missing") if self.kind is ChangeKind.GONE else ("missing", "found")
         return (

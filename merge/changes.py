@@ -318,8 +318,8 @@ def _drove(seen: _Seen, run: str, edges: Sequence[int]) -> Witness:
     # Without times of the corridors, those of their ends.
     ends = {int(v) for k in edges for v in (m.source[k], m.target[k])}
     times = np.sort(np.concatenate([seen.passes[run][v] for v in ends]))
-    told = _witness(run, times)
-    return Witness(run, int(m.traversals[list(edges)].sum()), told.first_ns, told.last_ns)
+    seen_at = _witness(run, times)
+    return Witness(run, int(m.traversals[list(edges)].sum()), seen_at.first_ns, seen_at.last_ns)
 
 
 def _needed(tests: int) -> float:

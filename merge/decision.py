@@ -121,8 +121,8 @@ class Decision:
 def to_document(decision: Decision) -> dict[str, Any]:
     """The decision as JSON values; angles in radians."""
     pair, need = decision.pair, decision.requirement
-    asked = decision.placements[0].alignment.copy_test if decision.placements else None
-    tested = {} if asked is None else rounded_copy_test(asked)
+    copy_test = decision.placements[0].alignment.copy_test if decision.placements else None
+    tested = {} if copy_test is None else rounded_copy_test(copy_test)
     return {
         "schema": DECISION_SCHEMA,
         "a": pair.a,

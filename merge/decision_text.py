@@ -302,9 +302,9 @@ def lines(decision: Decision, links: int | None = None, width: int = WIDTH) -> l
     rows of links, `MOST_LINKS` by default."""
     pair = decision.pair
     out = _folded(headline(decision), width)
-    told = [because(decision), lies(decision)]
+    reasons = [because(decision), lies(decision)]
     poses = [p.alignment.transform for p in decision.placements]
-    for line in reversed(told) if pair.through else told:
+    for line in reversed(reasons) if pair.through else reasons:
         out += _folded(line, width, "  ")
     if pair.through and decision.placements:
         own = f"their own best placement, at {_pose(poses[0])}, does not count:"

@@ -117,11 +117,11 @@ class Kept:
 
     def _read(self, kind: Kind, key: Key) -> bytes | None:
         """The result of a key in the database, None where it is not there or damaged."""
-        asked = (
+        query = (
             "SELECT crc, CAST(data AS BLOB) FROM result "
             "WHERE kind = ? AND a = ? AND b = ? AND era = ?"
         )
-        rows = self._rows(asked, (kind, *key, self.era))
+        rows = self._rows(query, (kind, *key, self.era))
         return next((data for crc, data in rows if zlib.crc32(data or b"") == crc), None)
 
     def _rows(self, statement: str, values: tuple[object, ...] = ()) -> list[Any]:

@@ -65,7 +65,7 @@ FARTHER = (1.0, 1.5, 2.0)
 """Directions in which a text may stand from what it names, and how much farther away, off other
 texts. The first ones are between corridors, which run along the axes in most maps."""
 
-MOST_TOLD = 3000
+MOST_TIPS = 3000
 """Of more marks the others have no tooltips."""
 
 PNG_DPI = 150
@@ -157,7 +157,7 @@ class Canvas:
         self, count: int, tips: Sequence[str]
     ) -> Iterator[tuple[Sequence[int], Sequence[str]]]:
         """Rows drawn in one piece, with their tooltip: each by itself where each has one."""
-        if 1 < len(tips) <= MOST_TOLD - len(self._titles):
+        if 1 < len(tips) <= MOST_TIPS - len(self._titles):
             yield from (([k], tips[k : k + 1]) for k in range(count))
         elif count:
             yield range(count), tips if len(tips) == 1 else ()

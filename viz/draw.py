@@ -91,12 +91,12 @@ def _junctions_of(canvas: Canvas, m: TopoMap, T: FloatArray) -> None:
 
 def _describe_vertex(m: TopoMap, i: int) -> str:
     """A vertex in a line; of a room its area, of a door its width."""
-    told = f"{m.kind[i].replace('_', ' ')} {i}"
+    text = f"{m.kind[i].replace('_', ' ')} {i}"
     for sizes, what in ((m.area_m2, "{:.0f} m²"), (m.width_m, "{:.2f} m wide")):
-        told += f", {what.format(sizes[i])}" if sizes is not None and sizes[i] > 0 else ""
-    told += f": {counted(int(m.passes[i]), 'pass', 'passes')}"
-    told += f", ± {m.position_sigma[i]:.2f} m" if m.position_sigma is not None else ""
-    return told + (f", confidence {m.confidence[i]:.2f}" if m.confidence[i] < 1 else "")
+        text += f", {what.format(sizes[i])}" if sizes is not None and sizes[i] > 0 else ""
+    text += f": {counted(int(m.passes[i]), 'pass', 'passes')}"
+    text += f", ± {m.position_sigma[i]:.2f} m" if m.position_sigma is not None else ""
+    return text + (f", confidence {m.confidence[i]:.2f}" if m.confidence[i] < 1 else "")
 
 
 def draw_merged(
@@ -135,7 +135,7 @@ def draw_merged(
         draw_component(
             *(canvas, fused, part, rank, free),
             several=several,
-            told=sites is not None,
+            detailed=sites is not None,
             numbers=numbers,
             drives=drives,
             changes=changes or (),

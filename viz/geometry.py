@@ -139,8 +139,8 @@ def contradiction_spots(
     At a junction that the other run did not see, or amid two corridors that cross.
     """
     spots = []
-    for told, (a, b) in against:
+    for text, (a, b) in against:
         ends = [of[list(rows)] for of, rows in ((of_a, a), (of_b, b)) if len(rows)]
         shown = [points for points in ends if len(points) == 1] or ends
-        spots.append((np.concatenate(shown).mean(axis=0), told))
+        spots.append((np.concatenate(shown).mean(axis=0), text))
     return spots

@@ -111,11 +111,11 @@ async function map(place) {
 }
 
 async function site(place) {
-  const plot = await map(place), section = place.parentElement, told = find(".told", section);
-  const hint = told.textContent, sources = plot.renderers.map(r => r.data_source).filter(s => s.data.told);
+  const plot = await map(place), section = place.parentElement, about = find(".about", section);
+  const hint = about.textContent, sources = plot.renderers.map(r => r.data_source).filter(s => s.data.lines);
   const tell = () => {
-    const lines = sources.flatMap(s => s.selected.indices.map(k => s.data.told[k])).reverse();
-    told.replaceChildren(...lines.length ? lines.map(line => made("div", line)) : [hint]);
+    const lines = sources.flatMap(s => s.selected.indices.map(k => s.data.lines[k])).reverse();
+    about.replaceChildren(...lines.length ? lines.map(line => made("div", line)) : [hint]);
   };
   for (const source of sources) source.selected.properties.indices.change.connect(tell);
   const layers = new Map();
@@ -144,7 +144,7 @@ async function site(place) {
   find(".find", section).onchange = event => {
     const number = String(+event.target.value), all = s => s.every ?? s.data.text;
     const named = numbers.find(s => all(s).includes(number));
-    if (!named) return void told.replaceChildren(`No junction ${event.target.value} here.`);
+    if (!named) return void about.replaceChildren(`No junction ${event.target.value} here.`);
     const at = all(named).indexOf(number), [x, y] = [named.data.x[at], named.data.y[at]], half = 4 * plot.usual;
     const is = k => s => s.data.x[k] === x && s.data.y[k] === y;
     const source = points.find(s => s.data.x.some((_, k) => is(k)(s))), k = source.data.x.findIndex((_, k) => is(k)(source));
@@ -222,8 +222,8 @@ function evidence(p) {
   const [a, b] = [data.runs[p.i].name, data.runs[p.j].name];
   const sides = p.placed?.length > 1 ? ["bits", "next best"] : ["bits"];
   row(["evidence", `in ${a}`, `in ${b}`, ...sides], "th");
-  for (const [level, told, u, v, ...bits] of rows)
-    row([told, u, v, ...sides.map((_, k) => bits[k] ?? "")], "td", level ? "part" : "");
+  for (const [level, text, u, v, ...bits] of rows)
+    row([text, u, v, ...sides.map((_, k) => bits[k] ?? "")], "td", level ? "part" : "");
   row(["sum", "", "", ...p.placed.map(q => q.bits)], "td", "sum");
 }
 async function open(i, j) {
@@ -232,12 +232,12 @@ async function open(i, j) {
   if (find("#run-b")) find("#run-b").value = alone ? "" : j;
   const p = alone ? null : pair(i, j);
   if (p) [i, j] = [p.i, p.j];  // the second is placed in the first one's frame
-  const [a, b] = [data.runs[i], alone ? null : data.runs[j]], told = find("#pair-told"), call = words => `topobatch ${words} ${data.where}`.trim();
+  const [a, b] = [data.runs[i], alone ? null : data.runs[j]], verdict = find("#pair-verdict"), call = words => `topobatch ${words} ${data.where}`.trim();
   find("#pair-title").textContent = alone ? a.name : spelled(i, j);
-  const said = p?.told ?? (p ? [data.reasons[p.r], p.advice && `To settle it: ${p.advice}`] : []);
-  const lines = [...said, p?.locked && `Decided by a person: ${p.locked}.`].filter(Boolean);
+  const sentences = p?.lines ?? (p ? [data.reasons[p.r], p.advice && `To settle it: ${p.advice}`] : []);
+  const lines = [...sentences, p?.locked && `Decided by a person: ${p.locked}.`].filter(Boolean);
   if (p && !p.rows) lines.push(`The evidence line by line: ${call(`explain ${a.shell} ${b.shell}`)}`);
-  told.replaceChildren(...lines.map(line => made("p", line)));
+  verdict.replaceChildren(...lines.map(line => made("p", line)));
   const placed = p?.placed ?? [], figures = every("#pair figure");
   const names = ["best placement", "next best placement"];
   if (find("#key")) find("#key").hidden = true;

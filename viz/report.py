@@ -200,7 +200,7 @@ def _sites(report: Report) -> list[dict[str, Any]]:
                 "id": c.id,
                 "name": c.name,
                 "figure": plot,
-                "told": f"{counted(len(runs), 'run')}, {counted(fused.junctions, 'junction')}, "
+                "summary": f"{counted(len(runs), 'run')}, {counted(fused.junctions, 'junction')}, "
                 f"{fused.lengths_m[0]:,.0f} m of corridors{to_turning_points(fused.turned)}"
                 f"{legible(weakest.get(c.id, ''))}",
                 "shape": round(wide / high, 3),
@@ -233,8 +233,10 @@ def _health(report: Report, runs: Sequence[str]) -> list[tuple[list[str], list[s
         if run in report.maps:
             m = report.maps[run]
             source = describe_junctions(m.info)
-            told = ([source] if source else []) + [str(w) for w in m.info.get("warnings") or ()][:8]
-            out.append(([run, home.get(run, "—"), *_measured(m)], told))
+            warnings = [str(w) for w in m.info.get("warnings") or ()][:8]
+            out.append(
+                ([run, home.get(run, "—"), *_measured(m)], ([source] if source else []) + warnings)
+            )
     return out
 
 

@@ -1,7 +1,7 @@
 """The maps of a report: one for each site, drawn by Bokeh in the reader's browser.
 
 Colours are seen on white and on dark paper alike. A renderer's name is its entry in the key, which
-hides and shows it; the column `told` of its source is what a click on it says.
+hides and shows it; the column `lines` of its source is what a click on it says.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ def site_map(
     draw_component(
         *(surface, fused, part, ranks(result), ~driven_branches(fused)),
         several=1,
-        told=True,
+        detailed=True,
         numbers=None,
         drives=drives,
         changes=[c for c in changes if c.sure],
@@ -146,7 +146,7 @@ class SiteFigure:
         self.plot.multi_line(
             "xs",
             "ys",
-            source=_told({"xs": x, "ys": y}, look.tips),
+            source=_source({"xs": x, "ys": y}, look.tips),
             line_color=look.colour,
             line_width=max(look.pens, THIN) * PEN_PX,
             line_cap="round",
@@ -164,7 +164,7 @@ class SiteFigure:
         self.plot.scatter(
             "x",
             "y",
-            source=_told({"x": x, "y": y}, look.tips),
+            source=_source({"x": x, "y": y}, look.tips),
             size=look.pens * PEN_PX,
             marker=look.marker,
             fill_color=None if look.ring else look.colour,
@@ -205,9 +205,9 @@ def picture(pixels: NDArray[np.uint8]) -> str:
     return "data:image/png;base64," + b64encode(out.getvalue()).decode()
 
 
-def _told(given: dict[str, Any], tips: Sequence[str]) -> ColumnDataSource:
+def _source(given: dict[str, Any], tips: Sequence[str]) -> ColumnDataSource:
     """The source of marks, and what a click on each says."""
-    return ColumnDataSource(given | ({"told": list(map(legible, tips))} if len(tips) else {}))
+    return ColumnDataSource(given | ({"lines": list(map(legible, tips))} if len(tips) else {}))
 
 
 def path_columns(paths: Sequence[FloatArray]) -> tuple[Any, Any]:

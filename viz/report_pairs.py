@@ -140,9 +140,9 @@ def page_data(
     reasons: dict[str, int] = {}
     pairs = []
     for p in strongest(result.verdicts if result else ()):
-        said = reasons.setdefault(legible(p.reason), len(reasons))
+        number = reasons.setdefault(legible(p.reason), len(reasons))
         entry: dict[str, Any] = {"i": row[p.a], "j": row[p.b], "s": CLASS[p.standing] - 1}
-        entry |= {"r": said, "bits": shown_bits(p.evidence_bits)}
+        entry |= {"r": number, "bits": shown_bits(p.evidence_bits)}
         pairs.append(entry | _opened(p, decisions.get((p.a, p.b)), maps if as_merged else {}))
     return {
         "runs": [
@@ -176,7 +176,7 @@ def _opened(
         need = shown_bits(decision.requirement.threshold_bits, digits_of(decision))
         lines = [because(decision), advice(decision), f"{need} bits needed: {needs(decision)}"]
         lines += [f"Note: {note}" for note in decision.notes]
-        out["told"] = [legible(line) for line in lines if line]
+        out["lines"] = [legible(line) for line in lines if line]
         digits = digits_of(decision)
         out["rows"] = [
             [row.level, legible(row.text), row.a, row.b]

@@ -103,7 +103,7 @@ def draw_component(
     free: BoolArray,
     *,
     several: int,
-    told: bool,
+    detailed: bool,
     numbers: Collection[int] | None,
     drives: Sequence[Drive] | None,
     changes: Sequence[Change],
@@ -112,9 +112,8 @@ def draw_component(
 
     rank: of runs, for their colours; free: branches that nobody drove (total branches,), drawn
     where there is a list of drives; several: how many components of several runs are drawn;
-    told: whether each strand and junction says what it is, not only whose strands these are, and
-    the frame is drawn;
-    numbers: junctions to be numbered, all by default.
+    detailed: whether the frame is drawn, and tips say what strands and junctions are, not only
+    whose; numbers: junctions to be numbered, all by default.
     """
     T, theme = part.cell.T_sheet_map, surface.theme
     _bands(surface, fused, part, drives or (), changes)
@@ -126,7 +125,7 @@ def draw_component(
             Look(
                 theme["single"] if alone else theme.run(rank[run]),
                 pens,
-                tips=[_describe_strand(fused, edge, run) for edge in own] if told else [run],
+                tips=[_describe_strand(fused, edge, run) for edge in own] if detailed else [run],
                 key="run that is merged with none" if alone else key,
             ),
         )
@@ -137,7 +136,7 @@ def draw_component(
     ends = part.vertices[turned]
     tips = [
         f"Here {TURNED[fused.kind[v]]} ({listed(sorted(fused.members[v]), MOST_RUNS)})"
-        for v in (ends.tolist() if told else [])
+        for v in (ends.tolist() if detailed else [])
     ]
     draw_ends(surface, apply(T, fused.xy[ends]), [fused.kind[v] for v in ends.tolist()], tips)
     shared = np.array([len(fused.members[v]) > 1 for v in part.vertices.tolist()], bool)
@@ -146,10 +145,10 @@ def draw_component(
         (shared, "ink", LARGE, "junction seen by several runs"),
     ):
         rows = part.vertices[which & ~turned]
-        tips = [_describe_junction(fused, v) for v in rows.tolist()] if told else []
+        tips = [_describe_junction(fused, v) for v in rows.tolist()] if detailed else []
         surface.dots(apply(T, fused.xy[rows]), Look(theme[ink], pens, tips=tips, key=key))
     _rings(surface, part, drives or (), changes)
-    if told:
+    if detailed:
         draw_frame(surface, part.cell)
     named = [v for v in part.vertices[~turned].tolist() if numbers is None or v in numbers]
     surface.words(apply(T, fused.xy[named]), [*map(str, named)])

@@ -88,13 +88,13 @@ class Channels:
         for number in {*self._met.nonzero()[0].tolist(), *declared}:
             channel = self.described.get(number)
             count = int(self._met[number]) if number < NUMBERS else 0
-            told = declared.get(number, 0)
+            stated = declared.get(number, 0)
             if by_index and channel is not None and not self.wanted(number):
-                count = told
+                count = stated
             if channel is None:
                 self._findings.faults[UNKNOWN] += count
             else:
                 self._findings.seen(channel, count)
-            if told > count:
+            if stated > count:
                 topic = channel.topic if channel is not None else "an unknown channel"
-                self._findings.lost[topic] += told - count
+                self._findings.lost[topic] += stated - count

@@ -131,8 +131,8 @@ class Sink:
         decoded = self.decoder.decode(block)
         # Messages are numbered in their order, so that each change of the number is a message.
         changes = np.count_nonzero(decoded.message[1:] != decoded.message[:-1])
-        told = int(changes) + (len(decoded) > 0)
-        self.empty += len(block.start) - (self.decoder.failed - failed) - told
+        with_poses = int(changes) + (len(decoded) > 0)
+        self.empty += len(block.start) - (self.decoder.failed - failed) - with_poses
         poses = self._usable(decoded)
         poses.message = poses.message + self.messages
         if not self.whole:

@@ -135,9 +135,9 @@ _OF_ONE = {
 """Verbs of sentences on several things, and on one."""
 
 
-def several_that(count: int, noun: str, told: str) -> str:
+def several_that(count: int, noun: str, predicate: str) -> str:
     """ "1 message is of another type", "2 messages are …"; told: of several, from its verb on."""
-    verb, space, rest = told.partition(" ")
+    verb, space, rest = predicate.partition(" ")
     verb = _OF_ONE.get(verb, verb) if count == 1 else verb
     return f"{several(count, noun)} {verb}{space}{rest}"
 
@@ -193,8 +193,8 @@ class Findings:
             if count
         ]
         for topic, count in sorted(self.lost.items()):
-            told = f"{several(count, 'message')} of {topic}"
-            out.append(f"{told} {'is' if count == 1 else 'are'} lost in damaged places")
+            messages = f"{several(count, 'message')} of {topic}"
+            out.append(f"{messages} {'is' if count == 1 else 'are'} lost in damaged places")
         return out
 
     @property
@@ -215,13 +215,13 @@ class Passed:
 
     def __init__(self, progress: Progress | None = None) -> None:
         self._progress = progress
-        self._told = 0
+        self._reported = 0
 
     def passed(self, offset: int) -> None:
         """Everything before `offset` is dealt with."""
-        if self._progress is not None and offset > self._told:
-            self._progress(offset - self._told)
-            self._told = offset
+        if self._progress is not None and offset > self._reported:
+            self._progress(offset - self._reported)
+            self._reported = offset
 
 
 NOT_TOLD = Passed()

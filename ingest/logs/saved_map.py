@@ -153,8 +153,8 @@ def _read(path: Path, found: dict[str, list[str]], like: Grid) -> tuple[Grid, tu
             image.draft("L", None)  # a JPEG in colours is decoded in shades of grey
             _check_size(image)
             grey, lossy = _grey(image), image.format == "JPEG"
-            told = mode != "trinary" and image.has_transparency_data
-            alpha = image.convert("LA").getchannel("A") if told else None
+            transparent = mode != "trinary" and image.has_transparency_data
+            alpha = image.convert("LA").getchannel("A") if transparent else None
     # Pillow raises these on invalid data.
     except (OSError, SyntaxError, EOFError, struct.error, MemoryError) as error:
         formats = "PGM, PNG, BMP or JPEG"

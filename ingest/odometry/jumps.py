@@ -17,7 +17,7 @@ from ...topology.odometry import Odometry
 from ...topology.se2 import between, compose, inverse, wrap
 
 SECOND_S = 1e-9
-MOST_TOLD = 5
+MOST_LISTED = 5
 """Number of jumps that are listed one by one."""
 BESIDE = np.array([-2, -1, 1, 2])
 """Offsets of the steps that a step is compared with."""
@@ -199,7 +199,7 @@ def without_jumps(
     ):
         own = [sizes[k] for k in np.flatnonzero(which)]
         if own:
-            listed = ", ".join([*own[:MOST_TOLD], *(["…"] if len(own) > MOST_TOLD else [])])
+            listed = ", ".join([*own[:MOST_LISTED], *(["…"] if len(own) > MOST_LISTED else [])])
             warnings.append(f"{what} {times(len(own))} ({listed}): {how}")
     return replaced, warnings
 

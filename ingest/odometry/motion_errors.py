@@ -37,7 +37,7 @@ class MotionSettings:
     range_m: float = 0.05
     """1 sigma of the distance by which detectors see everything too far: the noise of single
     messages."""
-    told_scale: float = 0.07
+    least_scale: float = 0.07
     """Larger corrections of lengths are warned of: twice what recorded odometries err by."""
     most_scale: float = 0.2
     """No odometry's lengths are off by a larger share: what seems to be is the detector's fault, or
@@ -96,7 +96,7 @@ def describe_scale(errors: MotionErrors | None) -> list[str]:
             "how junctions move while the robot passes them: more than odometries err by, so that "
             "nothing is corrected; if both are in metres, lengths of the map are as unsure"
         ]
-    if abs(share) <= MOTION.told_scale:
+    if abs(share) <= MOTION.least_scale:
         return []
     wrong, near = ("long", "near") if share > 0 else ("short", "far")
     return [

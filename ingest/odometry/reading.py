@@ -107,8 +107,8 @@ def _track(topic: OdometryTopic, clock: Clock) -> Track:
     time_ns = poses.time_ns(clock)
     if clock == "header" and not time_ns.all():
         zero = int((time_ns == 0).sum())
-        told = several_that(zero, "message", "carry no header time")
-        warnings.append(f"{topic.choice.topic}: {told}; left out")
+        untimed = several_that(zero, "message", "carry no header time")
+        warnings.append(f"{topic.choice.topic}: {untimed}; left out")
         poses.keep(time_ns != 0)
         time_ns = poses.time_ns(clock)
     pose = poses.columns.pose

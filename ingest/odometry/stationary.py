@@ -185,8 +185,8 @@ class DriveBys:
         count = np.diff(self.first, append=len(self.owner))
         entry, nth = numbered(count[drive_by])
         row = self.first[drive_by[entry]] + nth
-        told = self.branches.counts[row] > 0
-        entry, row = entry[told], row[told]
+        seen = self.branches.counts[row] > 0
+        entry, row = entry[seen], row[seen]
         of, local = numbered(self.branches.counts[row])
         heading = self.branches.values[self.branches.offsets[row][of] + local]
         off = wrap(heading + self._poses(AS_READ)[1][row[of]] - way[entry[of]])

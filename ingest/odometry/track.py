@@ -99,8 +99,8 @@ def sane_track(
         array.flags.writeable = False
     recorded = Odometry(time_ns, pose, np.zeros(0, np.int64), frame, child_frame)
     gaps = _gaps(time_ns)
-    odometry, told = without_jumps(recorded, leaps, teleports & gaps)
-    warnings += told
+    odometry, of_jumps = without_jumps(recorded, leaps, teleports & gaps)
+    warnings += of_jumps
     if gaps.any():
         longest = np.diff(time_ns)[gaps].max() / SECOND_NS
         warnings.append(f"odometry is silent {times(int(gaps.sum()))} (longest {longest:.2f} s)")

@@ -91,13 +91,13 @@ def _answer(
 
     if isinstance(wanted, int) and root.startswith("az:"):
         # Azure does not support suffix ranges.
-        with _told(named):
+        with _translated(named):
             known = known or _stat(obstore.head(store(root), key))
         wanted = max(0, known.size - wanted), known.size
     options: GetOptions = {"range": {"suffix": wanted} if isinstance(wanted, int) else wanted}
     if known is not None and known.etag and not known.etag.startswith("W/"):
         options["if_match"] = known.etag
-    with _told(named):
+    with _translated(named):
         answer = obstore.get(store(root), key, options=options)
         start, stop = answer.range
         stat = _stat(answer.meta)
@@ -127,7 +127,7 @@ def listed(root: str, prefix: str, *, named: str) -> Iterator[tuple[str, Stat]]:
     import obstore
 
     folder = prefix and f"{prefix}/"
-    with _told(named):
+    with _translated(named):
         pages = obstore.list(store(root), prefix or None, chunk_size=1000)
         while page := begun(partial(next, pages, ())).result():
             for meta in page:
@@ -158,7 +158,7 @@ def store(root: str) -> ObjectStore:
 
 
 @contextmanager
-def _told(named: str) -> Iterator[None]:
+def _translated(named: str) -> Iterator[None]:
     """obstore's errors as ours, without requests, responses and internals."""
     from obstore.exceptions import BaseError
 

@@ -316,15 +316,15 @@ def _bend(
     spread = mean(square)
     skew = mean(square * along) / spread
     # Variance of s² that a straight line does not explain.
-    told = np.maximum(mean(square * square) - spread * spread - skew * skew * spread, 1e-9)
+    unexplained = np.maximum(mean(square * square) - spread * spread - skew * skew * spread, 1e-9)
     shown, strays = mean(square * across), mean(across * across)
-    weight = readings / np.maximum(rounding, strays - shown * shown / told + wide)
-    if_bent = 1 / (weight * told + BENT_PER_M**-2)
+    weight = readings / np.maximum(rounding, strays - shown * shown / unexplained + wide)
+    if_bent = 1 / (weight * unexplained + BENT_PER_M**-2)
     by = if_bent * weight * shown
     odds = 0.5 * (by * by / if_bent + np.log(if_bent / BENT_PER_M**2))
     likely = expit(odds + logit(usual))
     bent = likely * by
-    left = strays - (2 * shown - bent * told) * bent
+    left = strays - (2 * shown - bent * unexplained) * bent
     return _Bend(spread, skew, bent, likely * (if_bent + (1 - likely) * by * by), odds, left)
 
 

@@ -205,24 +205,24 @@ def _result(
 BARE_M = 0.1
 """1 sigma of the distance between two keyframes, above which scans alone do not tell it: in `aces`
 the corrected path is 65 m long there, that by the scans 49 m; elsewhere 260 and 257 m."""
-MOST_TOLD = 3
+MOST_STRETCHES = 3
 """Stretches that a warning lists."""
 
 
 def _alone(driven: Driven, loose_m: FloatArray) -> str:
     """A warning that there is no odometry, and where the scans do not tell the distance driven."""
-    told = "no odometry beside the scans: each scan was matched to the one before"
+    text = "no odometry beside the scans: each scan was matched to the one before"
     step = np.diff(driven.way)
     bare = loose_m[1:] > BARE_M
     begin, end = np.flatnonzero(np.diff(bare, prepend=False, append=False)).reshape(-1, 2).T
     way = driven.way[end] - driven.way[begin]
     if not (way > 0).any():
-        return told
-    longest = np.sort(np.argsort(-way, kind="stable")[:MOST_TOLD])
+        return text
+    longest = np.sort(np.argsort(-way, kind="stable")[:MOST_STRETCHES])
     after_s = (driven.time_ns[begin] - driven.time_ns[0]) * 1e-9
     where = ", ".join(f"{way[k]:.0f} m at {after_s[k]:.0f} s" for k in longest)
     return (
-        f"{told}; along {step[bare].sum():.0f} of {driven.way[-1]:.0f} m only bare walls are in "
+        f"{text}; along {step[bare].sum():.0f} of {driven.way[-1]:.0f} m only bare walls are in "
         f"sight, which leave the distance open; the longest of them: {where} of the log"
     )
 

@@ -120,8 +120,8 @@ def _askew(turns: list[FloatArray], cell: float) -> float:
     from pass to pass (`branch_rad`).
     """
     every = np.concatenate([np.zeros(0), *turns])
-    told = np.abs(every[np.isfinite(every)])
-    differ = (float(np.quantile(told, 0.25)) / QUARTILE) ** 2 if len(told) else 0.0
+    bends = np.abs(every[np.isfinite(every)])
+    differ = (float(np.quantile(bends, 0.25)) / QUARTILE) ** 2 if len(bends) else 0.0
     return significant(2 * float(np.sqrt(max(differ - 1.25 * cell**2 / 12, 0.0))))
 
 

@@ -39,11 +39,11 @@ def matched_noise(
     """
     doubt = float(np.mean(1 - passes.confidence)) if len(passes) else PRIOR.branch_fault_rate
     fault = float(np.clip(doubt, PRIOR.branch_fault_rate, 0.5))
-    told = joined(spans) if spans else None
-    if told is None or len(told.way) == 0:
+    every = joined(spans) if spans else None
+    if every is None or len(every.way) == 0:
         return replace(PRIOR, branch_fault_rate=fault)
-    along = float(np.sqrt(np.median(told.along / np.maximum(told.way, 0.1))))
-    walk = _heading_walk(told.far, told.turned, told.variance)
+    along = float(np.sqrt(np.median(every.along / np.maximum(every.way, 0.1))))
+    walk = _heading_walk(every.far, every.turned, every.variance)
     heading = max(float(np.sqrt(walk[0])), ALONE_HEADING if alone else LEAST_HEADING)
     return replace(
         PRIOR,

@@ -90,8 +90,8 @@ class Tally:
             failed = several(self.failed, "message")
             out.append(f"{topic}: {failed} could not be decoded{because}; left out")
         for counts, after in ((self.left_out, "; left out"), (self.mended, "")):
-            told = (several_that(n, "scan", why) for why, n in sorted(counts.items()))
-            out += [f"{topic}: {scans}{after}" for scans in told]
+            problems = (several_that(n, "scan", why) for why, n in sorted(counts.items()))
+            out += [f"{topic}: {scans}{after}" for scans in problems]
         return out
 
 
@@ -256,8 +256,8 @@ def _angles(raw: RawScans, tally: Tally) -> FloatArray:
     """(m,) beam directions in the laser's frame [rad]; raises _UnusableError."""
     geometry, beams = raw.geometry, raw.ranges_m.shape[1]
     first, step = geometry.angle_min, geometry.angle_increment
-    told = first, step, *geometry.pose
-    if not np.isfinite(told).all() or max(map(abs, told)) > FARTHEST_M:
+    numbers = first, step, *geometry.pose
+    if not np.isfinite(numbers).all() or max(map(abs, numbers)) > FARTHEST_M:
         raise _UnusableError("have angles that are no numbers")
     if beams < 2:
         raise _UnusableError("have fewer than two ranges")

@@ -129,11 +129,11 @@ def clock_lag(odometry: Odometry, time_ns: IntArray, pose: FloatArray, piece: In
     elsewhere = np.array([difference(lag) for lag in far.tolist()])
     if off[best] >= LAG.unlike * float(np.median(elsewhere)):
         there = int(elsewhere.argmin())
-        told = ""
+        shift = ""
         if elsewhere[there] < LAG.unlike * off[best]:
             late = "late" if far[there] > 0 else "early"
-            told = f"; they are stamped some {abs(far[there]):.1f} s {late}"
-        raise OtherClockError(f"the scans do not turn when the odometry does{told}")
+            shift = f"; they are stamped some {abs(far[there]):.1f} s {late}"
+        raise OtherClockError(f"the scans do not turn when the odometry does{shift}")
     if off[best] > LAG.left * off[count] or best in (0, len(off) - 1):
         return 0.0
     before, here, after = off[best - 1 : best + 2] ** 2

@@ -187,14 +187,14 @@ def test_a_site_has_layers_and_says_what_is_clicked(merge_of) -> None:
         "numbers",
     } <= set(layers)
     (strands,) = layers["a"]
-    assert strands["told"][0] == "Corridor 0 to 1: 10.00 ± 0.10 m, driven 2 times by a, b"
+    assert strands["lines"][0] == "Corridor 0 to 1: 10.00 ± 0.10 m, driven 2 times by a, b"
     assert len(strands["xs"]) == len(layers["b"][0]["xs"]) == 5
     (dots,) = layers["junction seen by several runs"]
-    assert dots["told"][0].startswith(
+    assert dots["lines"][0].startswith(
         "Junction 0: 3 branches, 1 pass by a (its 0), b (its 0); at (0.00, 0.00) m"
     )
     (gone,) = layers["gone, with its number in the list"]
-    assert gone["told"][0].startswith("Gone: corridor")
+    assert gone["lines"][0].startswith("Gone: corridor")
     assert {t for d in layers["numbers"] for t in d["text"]} == {*"01234", *"xy", "12", "drive 1"}
     assert "data-site-1" not in page.scripts  # it stands alone: its run's own map is there
 
@@ -222,10 +222,10 @@ def test_every_pair_is_in_the_page_with_its_reason(merge_of) -> None:
     assert told == "views for it: +3.0 bits"
     assert url.startswith("data:image/png;base64,")
     assert any(row[1:4] == ["corridor: 10.00 m, 10.10 m", "0-1", "0-1"] for row in shown["rows"])
-    assert "Note: merge again" in shown["told"]
-    assert any("To settle it: go on" in line for line in shown["told"])
+    assert "Note: merge again" in shown["lines"]
+    assert any("To settle it: go on" in line for line in shown["lines"])
     assert any(
-        line.startswith("12.6 bits needed: log2(6 pairs / rate 0.001)") for line in shown["told"]
+        line.startswith("12.6 bits needed: log2(6 pairs / rate 0.001)") for line in shown["lines"]
     )
     sums = [row[-2] for row in shown["rows"] if row[0] == 0]
     assert sum(map(float, filter(None, sums))) == pytest.approx(6.0)

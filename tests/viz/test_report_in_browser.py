@@ -111,7 +111,7 @@ def test_a_map_is_clicked_moved_zoomed_and_its_layers_switched(opened, html, tmp
     page = opened(html)
     colours, _ = picture(page, MAP, tmp_path)
     assert colours > 20
-    told = page.locator(".site .told").first
+    told = page.locator(".site .about").first
     # Junction 2 of the square.
     place = page.evaluate(
         """async () => { const p = await plots.get(document.querySelector('.site .map'));
@@ -120,10 +120,10 @@ def test_a_map_is_clicked_moved_zoomed_and_its_layers_switched(opened, html, tmp
         return at.find(row => row[0] === "2").slice(1) }"""
     )
     page.mouse.click(*at(page, MAP, *place))
-    shows(page, ".site .told", "Junction 2:")
+    shows(page, ".site .about", "Junction 2:")
     page.locator(".site .find").first.fill("4")
     page.keyboard.press("Enter")
-    shows(page, ".site .told", "Junction 4 (dead end):")
+    shows(page, ".site .about", "Junction 4 (dead end):")
     page.locator(".site [data-zoom='0']").first.click()
     wide = page.locator(MAP).first.evaluate(WIDTH)
     page.locator(".site [data-zoom='0.67']").first.click()
@@ -149,7 +149,7 @@ def test_a_square_of_the_matrix_opens_its_pair(opened, html, tmp_path) -> None:
     page.mouse.click(*at(page, "#matrix", 1.5, 0.5))
     shows(page, "#pair-title", "a + b")
     shows(page, "#pair-title", "a + b: merged, 40.0 bits")
-    shows(page, "#pair-told", "topobatch explain a b")
+    shows(page, "#pair-verdict", "topobatch explain a b")
     page.locator("#run-a").select_option("1")
     page.locator("#run-b").select_option("2")
     shows(page, "#pair-title", "b + c")
@@ -180,7 +180,7 @@ def test_a_pair_is_opened_in_the_order_of_its_verdict(opened, merge_of) -> None:
     page.locator("#run-b").select_option(label="a")
     shows(page, "#pair-title", "a + c")
     shows(page, "#pair figcaption", "a  c")
-    shows(page, "#pair-told", "topobatch explain a c")
+    shows(page, "#pair-verdict", "topobatch explain a c")
     assert "lock a c" in page.locator("#never code").inner_text()
 
 
@@ -216,6 +216,6 @@ def test_no_name_becomes_code(opened, merge_of) -> None:
         page.locator("#run-b").select_option(str(j))
     page.locator(".site .find").first.fill("0")
     page.keyboard.press("Enter")
-    shows(page, ".site .told", "Junction 0")
-    shows(page, ".site .told", HOSTILE)
+    shows(page, ".site .about", "Junction 0")
+    shows(page, ".site .about", HOSTILE)
     assert page.locator("img").count() == 0

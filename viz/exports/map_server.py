@@ -34,5 +34,5 @@ def map_yaml(grid: Grid, picture: str, remarks: Sequence[str] = ()) -> str:
         "occupied_thresh": 0.65,
         "free_thresh": 0.196,
     }
-    told = "".join(f"# {legible(remark)}\n" for remark in remarks)
-    return told + yaml_text(document, 1)
+    comments = "".join(f"# {legible(remark)}\n" for remark in remarks)
+    return comments + yaml_text(document, 1)
