@@ -88,7 +88,7 @@ def components_of(runs: Mapping[str, object], accepted: Sequence[PairVerdict]) -
 def fused_once(
     maps: Sequence[TopoMap], inside: Sequence[PairVerdict], *, sigmas: bool, kept: Kept
 ) -> Fused:
-    """`fuse_component` of maps sorted by run, cached in `kept`."""
+    """`fuse_component`, cached in `kept`."""
     digest = component_digest(maps, inside, kept, sigmas=sigmas)
     made = partial(fuse_component, maps, inside, sigmas=sigmas)
     data = kept.result(Kind.COMPONENT, (digest, digest), lambda: to_bytes(made()))
@@ -116,7 +116,8 @@ def component_digest(
 def fuse_component(
     maps: Sequence[TopoMap], inside: Sequence[PairVerdict], *, sigmas: bool = False
 ) -> Fused:
-    """Fuse one component. inside: accepted verdicts between its runs, which connect them."""
+    """Fuse one component, in the frame of its first map. inside: accepted verdicts between its
+    runs, which connect them."""
     pool = Pool.of(maps)
     groups = matched_groups(pool, inside)
     joint = _fuse_coincident(pool, groups, run_poses(list(pool.first), inside), inside)

@@ -92,7 +92,7 @@ class Joint:
 def run_poses(runs: Sequence[str], verdicts: Sequence[PairVerdict]) -> dict[str, FloatArray]:
     """Initial T_component_run of every run, along a maximum spanning tree by evidence.
 
-    The frame is that of the first run by name; runs that are not connected to it are left out.
+    The frame is that of the first run; runs that are not connected to it are left out.
     """
     links_of: dict[str, list[tuple[float, str, str, FloatArray]]] = {}
     for v in verdicts:
@@ -100,7 +100,7 @@ def run_poses(runs: Sequence[str], verdicts: Sequence[PairVerdict]) -> dict[str,
             link = (-v.evidence_bits, v.a, v.b, v.best.transform)
             links_of.setdefault(v.a, []).append(link)
             links_of.setdefault(v.b, []).append(link)
-    start = min(runs)
+    start = runs[0]
     poses, frontier = {start: np.zeros(3)}, list(links_of.get(start, ()))
     heapq.heapify(frontier)
     while frontier:  # Prim's algorithm: the strongest verdict that reaches a new run

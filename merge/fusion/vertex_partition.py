@@ -28,16 +28,15 @@ class Pool:
 
     @classmethod
     def of(cls, maps: Sequence[TopoMap]) -> Pool:
-        """Pool the maps, sorted by run name."""
-        ordered = tuple(sorted(maps, key=lambda m: m.run))
-        sizes = np.array([len(m) for m in ordered], np.int64)
+        """Pool the maps in their order."""
+        sizes = np.array([len(m) for m in maps], np.int64)
         starts = np.cumsum(sizes) - sizes
         run, vertex = numbered(sizes)
         return cls(
-            maps=ordered,
+            maps=tuple(maps),
             run=run,
             vertex=vertex,
-            first={m.run: int(s) for m, s in zip(ordered, starts, strict=True)},
+            first={m.run: int(s) for m, s in zip(maps, starts, strict=True)},
         )
 
     def __len__(self) -> int:

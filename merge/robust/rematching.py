@@ -21,7 +21,7 @@ from ...topology.topomap import RunNoise, TopoMap
 from ...topology.views import NO_VIEWS, Views
 from ...topology.wording import listed
 from ..component_map import component_map
-from ..fusion.fuse import component_digest, fuse
+from ..fusion.fuse import component_digest, fused_once
 from ..kept import Kept, Kind
 from ..result import (
     Alignment,
@@ -46,7 +46,7 @@ Runs = tuple[int, ...]
 
 
 class MergedMap:
-    """The merged map of some runs, made on first access.
+    """The merged map of some runs, made on first access. Their names do not change it.
 
     runs: rows in the batch, sorted; maps: theirs; inside: the verdicts that join them.
     """
@@ -58,6 +58,7 @@ class MergedMap:
         self.maps = dict(zip(runs, maps, strict=True))
         self._inside = inside
         self._kept = kept
+        self._by_content = sorted(maps, key=kept.digest)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -67,13 +68,17 @@ class MergedMap:
     @cached_property
     def digest(self) -> bytes:
         """Digest of the maps and verdicts that it is made of."""
-        return component_digest(list(self.maps.values()), self._inside, self._kept)
+        return component_digest(self._by_content, self._inside, self._kept)
+
+    @property
+    def order(self) -> tuple[int, list[bytes]]:
+        """By which merged maps are ordered: their size, and the digests of their maps."""
+        return len(self.runs), [self._kept.digest(m) for m in self._by_content]
 
     @cached_property
     def _fused(self) -> tuple[Component, FusedMap]:
         """The runs as one component, and their fused map."""
-        (component,), fused = fuse(list(self.maps.values()), self._inside, kept=self._kept)
-        return component, fused
+        return fused_once(self._by_content, self._inside, sigmas=False, kept=self._kept)
 
     @cached_property
     def members(self) -> Sequence[Mapping[str, tuple[int, ...]]]:
@@ -86,7 +91,7 @@ class MergedMap:
     @cached_property
     def as_map(self) -> TopoMap:
         """The same as the map of one run that saw everything."""
-        maps = list(self.maps.values())
+        maps = self._by_content
         return maps[0] if len(maps) == 1 else _as_single_run(*self._fused, maps)
 
     @cached_property
@@ -188,7 +193,8 @@ class _Union:
 
     def pair_matches(self) -> Iterator[tuple[Pair, ComponentMatch]]:
         """The match of each pair of runs."""
-        maps, sides = {**self.a.maps, **self.b.maps}, (self.a.names, self.b.names)
+        first, second = sorted((self.a, self.b), key=lambda m: m.runs)
+        maps, sides = {**first.maps, **second.maps}, (first.names, second.names)
         for pair, alignment in self.implied.items():
             others = sorted(m.run for k, m in maps.items() if k not in pair)
             reason = f"together with {listed(others, 4)}: {describe_evidence(self.assessment)}"
@@ -264,7 +270,10 @@ class Rematcher:
         sides = self._open_components()
         keys = [((a, b), self.threshold((*a, *b), remaining)) for a, b in sides]
         unknown = [key for key in keys if key not in self._known]
-        merged = [[self._merged.of(runs, accepted) for runs in sides] for sides, _ in unknown]
+        merged = [
+            sorted((self._merged.of(runs, accepted) for runs in sides), key=lambda m: m.order)
+            for sides, _ in unknown
+        ]
         assessments = assess_all(
             [
                 Matched(a.prepared, b.prepared, self._merged.candidates(a, b), threshold)

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from topobatch.merge.robust import RobustSettings, match, prepare
 from topobatch.merge.robust.components import Components, as_alignment
 from topobatch.merge.robust.pairing import Pairwise
-from topobatch.merge.robust.rematching import Rematcher
+from topobatch.merge.robust.rematching import MergedMaps, Rematcher
 from topobatch.merge.robust.repetition import default_copies
 from topobatch.merge.robust.verdict import Threshold
+from topobatch.topology.se2 import inverse
 
 SETTINGS = RobustSettings()
 EXACT = {"centre_m": 0.02, "branch_rad": 0.02, "bend_m": 0.0, "missed": 0.0, "branch_fault": -1.0}
@@ -73,3 +76,16 @@ def test_components_are_joined_as_locks_name_their_junctions_or_not_at_all(three
     parts, others = rematched(three, found, 15.0, unmet={(1, 2): (u, w)})
     assert not parts.together(0, 2)
     assert others == {}
+
+
+def test_a_merged_map_does_not_depend_on_the_names_of_its_runs(three, found):
+    """Their order is that of their names, so that another name changed frame and verdict."""
+    a, b, _ = three
+    T = as_alignment(found[0, 1][0])
+    back = replace(T, transform=inverse(T.transform), matched=T.matched[:, ::-1])
+    one = MergedMaps(Pairwise([a, b], SETTINGS)).of((0, 1), {(0, 1): T})
+    other = [replace(b, run="1"), replace(a, run="2")]
+    two = MergedMaps(Pairwise(other, SETTINGS)).of((0, 1), {(0, 1): back})
+    np.testing.assert_allclose(one.as_map.xy, two.as_map.xy, atol=1e-6)
+    assert [sorted(m.values()) for m in one.members] == [sorted(m.values()) for m in two.members]
+    assert one.order == two.order
