@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING, Annotated
 
 from ..merge.change import Change, change_to_document, numbered
 from ..merge.changes import changes as changes_of
+from ..merge.changes import is_driven
 from ..merge.result import Component, MergeResult
 from ..topology.wording import counted
+from ..topology.wording import listed as names
 from ..viz.parts import in_order
 from .draw import picture_form, quiet_fonts, walled
 from .options import ComponentOption, HereWithMerge, JsonOption, ThemeOption, argument, option, verb
@@ -28,7 +30,8 @@ def changes(
         bool, option("--all", "Also differences that may be due to chance.")
     ] = False,
     output: Annotated[
-        Path | None, option("--output -o FILE", "Also draw them there (.svg, .png).")
+        list[Path] | None,
+        option("--output -o FILE", "Also draw them there (.svg, .png); may be given twice."),
     ] = None,
     theme: ThemeOption = "light",
     *,
@@ -38,8 +41,9 @@ def changes(
     """Tell what changed between the runs that were merged.
 
     Corridors and junctions that some runs found and others did not, although these came by: gone,
-    new, or there at times. Each with the times between which it changed, the runs, and the evidence
-    in bits: n bits mean odds of 2^n to 1 that the others did not just miss it.
+    new, or there at times. Saved maps have no times and are not compared. Each with the times
+    between which it changed, the runs, and the evidence in bits: n bits mean odds of 2^n to 1 that
+    the others did not just miss it.
 
     \b
       topobatch changes
@@ -47,24 +51,31 @@ def changes(
       topobatch changes north -o changes.svg
       topobatch changes --all --json
     """
-    form = None if output is None else picture_form(output)
+    forms = {path: picture_form(path) for path in output or ()}
     result = place.read_result()
     component = place.component(result, site, component)
     found: list[Change] = []
-    several = [c for c in in_order(result) if len(c.poses) > 1 and component in (None, c.id)]
-    for one in several:
-        maps = place.maps_as_merged(result, one.id, sorted(one.poses))
-        with place.document_at_fault():
-            found += changes_of(result, one.id, maps)
+    saved: list[str] = []
+    several, compared = [], []
+    for one in in_order(result):
+        if len(one.poses) > 1 and component in (None, one.id):
+            several.append(one)
+            maps = place.maps_as_merged(result, one.id, sorted(one.poses))
+            with place.document_at_fault():
+                found += changes_of(result, one.id, maps)
+            not_driven = [run for run, m in maps.items() if not is_driven(m)]
+            compared += [one] if len(maps) > len(not_driven) + 1 else []
+            saved += not_driven
     listed = numbered(c for c in found if everything or c.sure)
     shown = [change for _, change in listed]
-    if output is not None and form is not None:
-        write_files({output: _drawn(place, result, several, shown, theme).as_bytes(form)})
+    if forms:
+        picture = _drawn(place, result, several, shown, theme)
+        write_files({path: picture.as_bytes(form) for path, form in forms.items()})
     if as_json:
         sites = {c.id: c.site or None for c in result.components}
         say_json([change_to_document(c) | {"site": sites[c.component]} for c in shown])
         return
-    for one in several:
+    for one in compared:
         own = [(k, change) for k, change in listed if change.component == one.id]
         if not own:
             say(f"{one.name}: nothing changed")
@@ -78,13 +89,15 @@ def changes(
     hint = " (--all shows them)" if unsure and not everything else ""
     say(
         f"{counted(len(found) - unsure, 'change')}{more}{hint}"
-        if several
-        else "no two runs were merged: nothing to compare"
+        if compared
+        else "no two recorded runs were merged: nothing to compare"
     )
-    if output is not None or any(c.sure for c in shown):
+    if saved:
+        say_folded(f"saved maps tell no times and are left out: {names(saved, 3)}")
+    if forms or any(c.sure for c in shown):
         named = () if site is None else (site,)
         drawn = place.call("changes", *named, *place.of_merge, "-o", "changes.svg")
-        say(f"times are UTC; on the map: {output or drawn}")
+        say(f"times are UTC; on the map: {', '.join(map(str, forms)) or drawn}")
 
 
 def _drawn(

@@ -13,7 +13,7 @@ a straight corridor there. A run that drove through it undetected, and along all
 one, is missing that corridor: one change, not one for each of its ends.
 
 Nothing is missing for a run that knows another junction beside it: fused maps show some places
-twice.
+twice. Saved maps, which nobody drove and which have no times, take no part.
 """
 
 from __future__ import annotations
@@ -103,26 +103,32 @@ def last_found(
     }
 
 
+def is_driven(topomap: TopoMap) -> bool:
+    """Whether a map is of a recorded run, and not a saved map."""
+    return len(topomap.observation_time_ns) > 0
+
+
 class _Seen:
     """A component's fused map with the observations of its vertices by every run."""
 
     def __init__(
         self, merged: TopoMap, maps: Mapping[str, TopoMap], poses: Mapping[str, FloatArray]
     ) -> None:
-        self.merged, self.maps = merged, maps
-        self.nodes: list[Mapping[str, tuple[int, ...]]] = merged.info["members"]["nodes"][
-            : len(merged)
-        ]
-        self.edges: list[Mapping[str, tuple[int, ...]]] = merged.info["members"]["edges"][
-            : len(merged.source)
-        ]
+        self.merged, self.maps = merged, {run: m for run, m in maps.items() if is_driven(m)}
+        self.nodes, self.edges = (
+            [{run: of for run, of in seen.items() if run in self.maps} for seen in members[:count]]
+            for members, count in (
+                (merged.info["members"]["nodes"], len(merged)),
+                (merged.info["members"]["edges"], len(merged.source)),
+            )
+        )
         self.passes = {
             run: [np.sort(m.observation_time_ns[m.observation_vertex == v]) for v in range(len(m))]
-            for run, m in maps.items()
+            for run, m in self.maps.items()
         }
-        self._headings = {run: padded_branches(m) for run, m in maps.items()}
+        self._headings = {run: padded_branches(m) for run, m in self.maps.items()}
         self._fused = padded_branches(merged)
-        self._turn = {run: float(poses[run][2]) for run in maps}
+        self._turn = {run: float(poses[run][2]) for run in self.maps}
         self._near = _neighbours(merged)
         self._at: list[list[int]] = [[] for _ in self.nodes]
         for e, ends in enumerate(zip(merged.source.tolist(), merged.target.tolist(), strict=True)):
@@ -212,7 +218,7 @@ def _corridors(seen: _Seen) -> tuple[list[Change], int, set[tuple[int, str]]]:
     out, asked, m = [], 0, seen.merged
     explained: set[tuple[int, str]] = set()
     for e, members in enumerate(seen.edges):
-        if seen.is_double(e):
+        if seen.is_double(e) or not members:
             continue
         missing = []
         ends = [int(m.source[e]), int(m.target[e])]
@@ -277,7 +283,7 @@ def _junctions(seen: _Seen, explained: Set[tuple[int, str]]) -> tuple[list[Chang
             asked += 1
             witness = _drove(seen, run, through)
             missing.append((witness, seen.overlooked(run, node, witness.passes)))
-        if missing:
+        if missing and members:
             there = [_witness(run, seen.times(run, node)) for run in sorted(members)]
             invented = 1.0
             for w in there:

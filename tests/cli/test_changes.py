@@ -7,6 +7,7 @@ import re
 import shutil
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from topobatch.cli.workspace import Workspace
@@ -48,8 +49,10 @@ def test_changes_are_told_with_dates(topobatch, place) -> None:
 
 
 def test_changes_are_drawn_with_the_numbers_of_their_list(topobatch, place, tmp_path) -> None:
-    shown = topobatch("changes", "-o", tmp_path / "changes.svg", "-w", place.root)
+    both = ("-o", tmp_path / "changes.svg", "-o", tmp_path / "changes.png")
+    shown = topobatch("changes", *both, "-w", place.root)
     assert (shown.code, shown.err) == (0, "")
+    assert (tmp_path / "changes.png").read_bytes()[1:4] == b"PNG"
     svg = (tmp_path / "changes.svg").read_text()
     assert "What changed: " in svg
     assert "1. " in svg
@@ -97,6 +100,16 @@ def test_calls_that_cannot_be(topobatch, place, tmp_path) -> None:
     write_merged(same.merged_json, merge_maps([one, twin]))
     assert ": nothing changed\n" in topobatch("changes", "-w", same.root).out
     assert "nothing to compare" in topobatch("changes", "-w", alone.root).out
+    # A saved map has neither times nor passes: what it lacks was not missed by anybody.
+    none = np.zeros(0, np.int64)
+    saved = replace(
+        place.read_map("run3"), observation_vertex=none, observation_time_ns=none, traversal_ns=None
+    )
+    write_map(same.map_json("twin"), replace(saved, run="twin"))
+    write_merged(same.merged_json, merge_maps([one, replace(saved, run="twin")]))
+    shown = topobatch("changes", "--all", "-w", same.root).out
+    assert "no two recorded runs" in shown
+    assert "saved maps tell no times and are left out: twin" in shown
     write_map(alone.map_json("run1"), replace(one, observation_time_ns=one.observation_time_ns + 1))
     other = place.read_map("run2")
     write_map(alone.map_json("run2"), other)
