@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import io
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
+from glob import glob, has_magic
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Literal
@@ -19,7 +20,7 @@ from ..ingest.mapping import map_of_log
 from ..ingest.mapping_settings import MappingSettings
 from ..ingest.read_settings import ReadSettings, Stamp
 from ..ingest.reading import read_log
-from ..ingest.remote.path import log_path
+from ..ingest.remote.path import is_remote, log_path
 from ..ingest.scans.slicing import SliceSettings
 from ..merge.change import Change
 from ..merge.changes import all_changes
@@ -36,7 +37,7 @@ from ..merge.robust.explained import Merge
 from ..merge.robust.explained import explain as decision_of
 from ..topology.document import map_to_document
 from ..topology.document import read_map as map_at
-from ..topology.errors import UsageError
+from ..topology.errors import LogError, UsageError
 from ..topology.topomap import TopoMap
 from ..topology.wording import listed
 from ..viz.exports import MAP_FORMATS, map_texts
@@ -73,8 +74,8 @@ def ingest(
     ----------
     log
         An MCAP file, a ROS 1 bag, a ROS 2 bag folder, or a saved map; or the address of one
-        elsewhere (``s3://bucket/run1.mcap``; docs/remote.md). Or several of them, and folders of
-        logs, in a list.
+        elsewhere (``s3://bucket/run1.mcap``; docs/remote.md). Or a folder of logs, a pattern
+        (``"day1/*.mcap"``), or a list of all these.
     name
         What to call the run; after the log by default, of several logs of one name after their
         folders as well.
@@ -91,7 +92,7 @@ def ingest(
     Returns
     -------
     tuple of TopoMap
-        One map of each log, by the order of the list and, of a folder, by name; more only where
+        One map of each log, by the order of the list and, in it, by name; more only where
         the odometry broke and nothing ties its pieces together.
 
     Raises
@@ -101,8 +102,7 @@ def ingest(
     DataError
         What it holds makes no map: no junction was passed, or the odometry does not move.
     UsageError
-        The log has several topics to choose from, an option makes no sense, or a folder that is
-        not in a list holds several logs.
+        The log has several topics to choose from, or an option makes no sense.
 
     Examples
     --------
@@ -111,17 +111,11 @@ def ingest(
     >>> len(maze), len(maze.source)
     (26, 29)
     """
-    alone = isinstance(log, str | os.PathLike)
     named = [log] if isinstance(log, str | os.PathLike) else log
-    given = [log_path(os.fspath(each), allow_scan=allow_scan) for each in named]
+    given = [log_path(each, allow_scan=allow_scan) for each in _expanded(named)]
     logs, missing = logs_of(given, separate=separate)
     for _, error in missing:
         raise error
-    if len(logs) > 1 and alone:
-        raise UsageError(
-            f"{given[0]}: holds {len(logs)} logs; name one: "
-            f"{listed([str(each) for each in logs], 3)}; or give [folder]"
-        )
     if len(logs) > 1 and name is not None:
         raise UsageError(f"name goes with one log; {len(logs)} are given")
     names = run_names(logs) if name is None else dict.fromkeys(logs, checked_file_name(name))
@@ -143,6 +137,17 @@ def ingest(
         read = (replace(read_log(log, settings), name=run) for log, run in names.items())
         mapped = (map_of_log(found, mapping) for found in read)
         return tuple(piece for each in mapped for piece in joined_pieces(each))
+
+
+def _expanded(named: Iterable[str | os.PathLike[str]]) -> Iterator[str]:
+    """The paths, with those that match a pattern in its place; LogError if none does."""
+    for each in (os.fspath(path) for path in named):
+        if is_remote(each) or Path(each).exists() or not has_magic(each):
+            yield each
+        elif found := sorted(glob(each, recursive=True)):
+            yield from found
+        else:
+            raise LogError(f"{each}: nothing matches this pattern")
 
 
 def read_map(path: str | Path) -> TopoMap:
@@ -339,6 +344,8 @@ def to_dataframe(topomap: TopoMap, of: Literal["junctions", "corridors"] = "junc
 
 def _component_of(result: MergeResult, run: str) -> Component:
     """The component that a run is part of."""
+    if not isinstance(result, MergeResult):
+        raise UsageError("a MergeResult is needed: of merge(maps), or Workspace.read_result()")
     for component in result.components:
         if run in component.poses:
             return component

@@ -51,6 +51,9 @@ class Drive:
     bits: float
     heading_rad: float | None = None
 
+    def __repr__(self) -> str:
+        return f"<drive of {'; '.join(self.words)}>"
+
     @property
     def bits_per_m(self) -> float:
         """Expected evidence for each metre driven, by which drives are ranked."""

@@ -104,7 +104,7 @@ def test_options_that_make_no_sense_are_refused(option) -> None:
 
 
 def test_several_logs_may_be_given_as_people_have_them(tmp_path) -> None:
-    """As texts or paths, in any sequence, with folders among them; of one name, too."""
+    """As texts, paths or patterns, in any sequence, with folders; of one name, too."""
     logs = [ROOT / "sample_logs" / name for name in ("maze-1.mcap", "maze-2.bag")]
     for robot, log in zip(("r1", "r2"), logs, strict=True):
         (tmp_path / robot).mkdir()
@@ -113,6 +113,8 @@ def test_several_logs_may_be_given_as_people_have_them(tmp_path) -> None:
         [str(tmp_path / "r1" / "run.mcap"), tmp_path / "r2" / "run.bag"],
         (tmp_path / robot for robot in ("r1", "r2")),
         [tmp_path],
+        tmp_path,
+        str(tmp_path / "*" / "run.*"),
     )
     for way in ways:
         assert [m.run for m in topobatch.ingest(way)] == ["r1-run", "r2-run"]
@@ -125,8 +127,10 @@ def test_calls_that_cannot_be(tmp_path) -> None:
 
     with pytest.raises(LogError, match="nowhere"):
         topobatch.ingest(tmp_path / "nowhere.mcap")
-    with pytest.raises(UsageError, match="holds 5 logs; name one: "):
-        topobatch.ingest(ROOT / "sample_logs")
+    with pytest.raises(LogError, match="nothing matches"):
+        topobatch.ingest(str(ROOT / "sample_logs" / "none-*"))
+    with pytest.raises(UsageError, match="a MergeResult is needed"):
+        topobatch.explain(None, [], "a", "b")
     with pytest.raises(UsageError, match="name goes with one log; 5 are given"):
         topobatch.ingest([ROOT / "sample_logs"], name="x")
     with pytest.raises(LogError, match="nowhere"):
