@@ -18,7 +18,7 @@ from .decision import AGAINST, LINKS, Decision, Placement, Term, TermKind
 from .locks import DISCARDED, discarded
 from .result import PairVerdict, Verdict, shown_bits
 from .robust.settings import MATCH
-from .wording import AGREES_BITS, decimals, describe_agreement, describe_bits
+from .wording import AGREES_BITS, SAME_PLACE, decimals, describe_agreement, describe_bits
 
 WIDTH = 79
 """Columns of the smallest usual terminal."""
@@ -207,7 +207,7 @@ def rows(decision: Decision, links: int) -> list[Row]:
         add(_against_text(placements), *AGAINST, always=True, each=True)
         add(_first_text([first], "hypotheses"), "hypotheses", always=True)
         add(_first_text(placements, "few"), "few")
-        add(_first_text([first], "copies") or "is it a copy?", "copies")
+        add(_first_text([first], "copies") or SAME_PLACE, "copies")
     return out
 
 
@@ -255,10 +255,10 @@ def needs(decision: Decision) -> str:
     """What the threshold is made of, and the other requirements."""
     need = decision.requirement
     exact = need.pairs < 1 << MATCH.pair_digits
-    pairs = counted(need.pairs, "pair") if exact else f"pairs, rounded up to {need.pairs:,},"
+    pairs = counted(need.pairs, "pair") + ("" if exact else ", rounded up,")
     return (
-        f"log2({pairs} / rate {need.false_merge_rate:g}), "
-        f"{need.least_junctions} junctions, lead {need.lead_bits:g} bits"
+        f"log2({pairs} / rate {need.false_merge_rate:g}); at least {need.least_junctions} "
+        f"junctions; a lead of {need.lead_bits:g} bits"
     )
 
 
@@ -344,7 +344,7 @@ def _table(decision: Decision, links: int, width: int) -> list[str]:
         return f"{left}{text:<{width - len(left) - len(right)}}{right}".rstrip()
 
     if not count:
-        return [line([_threshold(decision)], f"bits needed: {needs(decision)}")]
+        return _folded(f"{_threshold(decision)} bits needed: {needs(decision)}", width, "    ")
     head = ["this", "next"][:count] if count > 1 else ["bits"]
     names = (short(pair.a, 10), short(pair.b, 10))
     out = ["", line(head, "for (+) and against it (-)", *names)]

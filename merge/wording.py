@@ -8,6 +8,9 @@ from ..topology.digits import BITS
 from ..topology.wording import counted
 from .result import shown_bits
 
+SAME_PLACE = "same place, not a copy"
+"""The second question of robust merging."""
+
 LEAST = 0.1
 """Metres and degrees of which one decimal tells something."""
 AGREES_BITS = 1.0

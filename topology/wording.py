@@ -50,6 +50,4 @@ def to_turning_points(number: int, length_m: float | None = None) -> str:
     """What follows the corridors, which join two junctions: how many ways lead to none, and their
     length; empty without any."""
     length = "" if length_m is None else f", {length_m:,.0f} m"
-    end = "ends" if number == 1 else "end"
-    ways = f", {counted(number, 'way')} that {end} at no junction{length}"
-    return ways if number else ""
+    return f", {counted(number, 'way')} without a junction at the end{length}" if number else ""

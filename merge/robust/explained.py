@@ -23,9 +23,17 @@ from ...topology.wording import counted
 from ..decision import Decision, Placement, Requirement, Term
 from ..kept import Kept
 from ..locks import Lock, discarded, lock_table
-from ..result import Alignment, CopyTest, MergeResult, PairVerdict, Verdict, pairs_of
+from ..result import (
+    Alignment,
+    CopyTest,
+    MergeResult,
+    PairVerdict,
+    Verdict,
+    pairs_of,
+    shown_bits,
+)
 from ..through import joined_through
-from ..wording import describe_bits
+from ..wording import SAME_PLACE, decimals
 from .alignment import Candidate, match
 from .conflicts import contradictions
 from .decide import decide
@@ -207,22 +215,15 @@ def _terms(
     ]
     terms.append(Term("hypotheses", -c.tested_bits, _describe_choice(c)))
     if rounded(bound_bits, BITS) < 0:
-        limit = f"what agrees counts {MATCH.junction_bits} bits a junction at most"
-        terms.append(Term("few", bound_bits, limit))
+        cap = f"cap: {MATCH.junction_bits} bits for each matched junction"
+        terms.append(Term("few", bound_bits, cap))
     if copy_test is not None:
         copies = min(rounded(bits, BITS) - c.counted_bits, 0.0)
-        terms.append(Term("copies", copies, _describe_copy_test(copy_test)))
+        digits = decimals(copy_test.bits, copy_test.needed_bits)
+        known, need = (shown_bits(b, digits) for b in (copy_test.bits, copy_test.needed_bits))
+        limits = "; limits the sum" if copies else ""
+        terms.append(Term("copies", copies, f"{SAME_PLACE}: {known} of {need} bits{limits}"))
     return tuple(terms)
-
-
-def _describe_copy_test(tested: CopyTest) -> str:
-    """The test for a copy in words."""
-    bits, need = (
-        describe_bits(tested.bits, tested.needed_bits).removesuffix(" needed").split(" bits, ")
-    )
-    if bits.startswith("-"):
-        return f"is it a copy? {bits[1:]} bits say yes, {need} for no needed"
-    return f"is it a copy? {bits} bits say no, {need} needed"
 
 
 def _describe_choice(c: Candidate) -> str:

@@ -40,7 +40,7 @@ def test_simulated_lasers(topobatch, tmp_path):
 def test_a_log_with_scans_becomes_a_map_and_says_how(samples):
     said = (samples / "said.txt").read_text().splitlines()
     (line,) = (line for line in said if line.startswith("office-1: "))
-    assert re.search(r" corridors, 11 ways that end at no junction \([0-9.]+ s\)$", line)
+    assert re.search(r" corridors, 11 ways without a junction at the end \([0-9.]+ s\)$", line)
     doc = read_json(samples / "topobatch-workspace" / "maps" / "office-1.json")
     ends = [node for node in doc["nodes"] if node["kind"] in ("turning_point", "track_end")]
     assert ends == doc["nodes"][-11:]

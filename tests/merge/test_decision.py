@@ -96,9 +96,7 @@ def test_a_decision_fits_a_terminal_with_the_verdict_first(told):
 
 def test_a_rounded_number_of_pairs_is_said_to_be_one():
     many = replace(MERGED.requirement, pairs=448)
-    assert "log2(pairs, rounded up to 448, / rate 0.001)" in needs(
-        replace(MERGED, requirement=many)
-    )
+    assert "log2(448 pairs, rounded up, / rate 0.001)" in needs(replace(MERGED, requirement=many))
 
 
 def test_the_document_adds_up_too():
