@@ -141,7 +141,8 @@ def write_recording(
 
 
 def _send_blueprint(stream: rr.RecordingStream, blueprint: rrb.Blueprint) -> None:
-    """Make `blueprint` the recording's default.
+    """Make `blueprint` the recording's default, and active: a browser that opens it for the first
+    time arranges the views by itself otherwise.
 
     Replaces `stream.send_blueprint`, which leaks a stream with two threads for every call.
     """
@@ -150,7 +151,7 @@ def _send_blueprint(stream: rr.RecordingStream, blueprint: rrb.Blueprint) -> Non
     described.set_time("blueprint", sequence=0)
     blueprint._log_to_stream(described)
     memory = described.memory_recording()
-    rerun_bindings.send_blueprint(memory.storage, False, True, recording=stream.to_native())
+    rerun_bindings.send_blueprint(memory.storage, True, True, recording=stream.to_native())
     described.disconnect()
 
 
