@@ -10,6 +10,7 @@ import io
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from math import isnan, nan
 from pathlib import Path
 from typing import Annotated, Any
@@ -164,6 +165,10 @@ def _matched(place: Workspace, source: str, target: str) -> tuple[MatchedJunctio
     return matched, ""
 
 
+MOST_PLACES = 100_000
+"""Most places of a table: each takes about 1 kB."""
+
+
 @dataclass(frozen=True, slots=True)
 class Place:
     """A named place in a map, in metres and radians. line: number of its row; cells: texts of the
@@ -179,7 +184,10 @@ class Place:
 def read_places(path: Path) -> tuple[list[str], list[Place]]:
     """The columns and the places of a CSV file; DataError with the line number if it is
     invalid."""
-    raw = read_bytes(path.resolve())
+    try:
+        raw = read_bytes(path.resolve())
+    except RuntimeError as error:  # of Python before 3.13
+        raise DataError(f"{path}: is a link that leads to itself") from error
     try:
         reader = csv.DictReader(io.StringIO(raw.decode("utf-8-sig"), newline=""), strict=True)
         names = [_unquoted(name.strip()) for name in reader.fieldnames or ()]
@@ -191,7 +199,9 @@ def read_places(path: Path) -> tuple[list[str], list[Place]]:
                 "name,x,y or name,x,y,theta, with commas"
             )
         reader.fieldnames = names
-        places = [_place(path, reader.line_num, row) for row in reader]
+        places = [_place(path, reader.line_num, row) for row in islice(reader, MOST_PLACES)]
+        if next(reader, None) is not None:
+            raise DataError(f"{path}: holds more than {MOST_PLACES:,} places")
     except (csv.Error, UnicodeDecodeError) as error:
         raise DataError(f"{path}: is not CSV in UTF-8: {error}") from error
     if not places:

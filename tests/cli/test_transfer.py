@@ -115,6 +115,7 @@ def test_runs_of_one_site_without_a_common_junction(topobatch, place, table, mon
         ("name,x,y\na,1,-1e11\n", "which is nowhere"),
         ("name,x,y\na,1\n", ":2: has more or fewer values"),
         ("name,x,y\n", "holds no place"),
+        ("name,x,y\n" + "a,1,2\n" * 100_001, "holds more than 100,000 places"),
         ('name,x,y\n"a,1,2\n', "is not CSV"),
     ],
 )
@@ -125,6 +126,9 @@ def test_tables_that_are_none(topobatch, place, table, text, told) -> None:
 
 def test_calls_that_cannot_be(topobatch, place, table) -> None:
     path, w = table("name,x,y\na,1,2\n"), ("-w", place.root)
+    loop = path.with_name("loop.csv")
+    loop.symlink_to(loop)
+    assert "itself" in topobatch("transfer", loop, "--from", "one", "--to", "two", *w).error(1)
     assert "already" in topobatch("transfer", path, "--from", "one", "--to", "one", *w).error(2)
     assert "no map of x" in topobatch("transfer", path, "--from", "x", "--to", "one", *w).error(2)
     one = place.read_map("one")
