@@ -66,6 +66,13 @@ def extent(graph: Graph) -> FloatArray:
     return np.concatenate([graph.xy, *graph.paths])
 
 
+def between(graph: Graph, ends: tuple[int, int]) -> list[FloatArray]:
+    """The corridors, (k, 2) each [m], between two junctions."""
+    rows = np.stack([graph.source, graph.target], axis=1)
+    own = np.all(np.sort(rows, axis=1) == sorted(ends), axis=1)
+    return [graph.paths[k] for k in np.flatnonzero(own).tolist()]
+
+
 def branch_arrows(graph: Graph, chosen: BoolArray, pen: float) -> tuple[FloatArray, FloatArray]:
     """Origins and vectors, (k, 2) each [m], of arrows along the k chosen ones of all branches: a
     ring's width long. pen: width of a corridor's line [m]."""

@@ -61,11 +61,24 @@ def test_an_ambiguous_pair_shows_both_placements(make_map) -> None:
     assert {"placement: 9.0 bits", "next best: 8.0 bits"} <= set(texts)
 
 
-def test_junctions_that_are_not_matched_have_numbers_too(make_map) -> None:
-    """Those of a once, and those of b that a does not stand for; advice names them."""
-    told = decision(Verdict.AMBIGUOUS, [placement(9.0, EVERY[:3]), placement(8.0, EVERY[:3])])
-    texts, _ = seen(draw_decision(make_map("a"), make_map("b", (1.0, 2.0, 0.4)), told, LIGHT))
-    assert [texts.count(str(k)) for k in range(5)] == [2, 2, 2, 4, 4]  # on two pictures
+def test_junctions_of_either_run_are_numbered_and_what_to_record_is_shown(
+    make_map, monkeypatch
+) -> None:
+    """In the colours of their runs; of large maps those that the advice names, and matched ones."""
+    told = decision(Verdict.AMBIGUOUS, [placement(9.0, EVERY[:2]), placement(8.0, EVERY[:2])])
+    said = "record with a/1's robot the corridor that b drove from its junction 2 to 4 (6.0 m): so"
+    told = replace(told, pair=replace(told.pair, advice=said))
+    a, b = make_map("a/1"), make_map("b", (1.0, 2.0, 0.4))
+    canvas = draw_decision(a, b, told, LIGHT)
+    texts, _ = seen(canvas)
+    assert [texts.count(str(k)) for k in range(5)] == [4] * 5  # two runs on two pictures
+    written = [text.partition(">")[0] for text in canvas.as_bytes("svg").decode().split("<text ")]
+    for rank in (0, 1):
+        assert sum(f"fill: {LIGHT.run(rank)}" in text for text in written) == 10
+    assert "corridor to record" in texts
+    monkeypatch.setattr("topobatch.viz.draw_pair.MOST_NUMBERED", 4)
+    texts, _ = seen(draw_decision(a, b, told, LIGHT))
+    assert [texts.count(str(k)) for k in range(5)] == [4, 4, 2, 0, 2]
 
 
 def compared(kind: int) -> Compared:

@@ -202,6 +202,9 @@ def test_a_site_has_layers_and_says_what_is_clicked(merge_of) -> None:
 def test_every_pair_is_in_the_page_with_its_reason(merge_of) -> None:
     result, maps = merge_of([["a", "b"], ["c"]], [("b", "c")])
     pair = next(v for v in result.verdicts if v.standing is Standing.AMBIGUOUS)
+    said = "record with b's robot the corridor that c drove from its junction 0 to 1 (10.0 m): go"
+    pair = replace(pair, advice=said)
+    result = replace(result, verdicts=[pair if v.b + v.a == "cb" else v for v in result.verdicts])
     data = Page(page_of(result, maps, decisions={("b", "c"): decision(pair)})).data
     assert [run["name"] for run in data["runs"]] == ["a", "b", "c"]
     told = {
@@ -223,7 +226,9 @@ def test_every_pair_is_in_the_page_with_its_reason(merge_of) -> None:
     assert url.startswith("data:image/png;base64,")
     assert any(row[1:4] == ["corridor: 10.00 m, 10.10 m", "0-1", "0-1"] for row in shown["rows"])
     assert "Note: merge again" in shown["lines"]
-    assert any("To settle it: go on" in line for line in shown["lines"])
+    assert any(f"To settle it: {said}" in line for line in shown["lines"])
+    side, ends, (xs, _) = shown["record"]
+    assert (side, ends, len(xs)) == (1, [0, 1], 1)
     assert any(
         line.startswith("12.6 bits needed: log2(6 pairs / rate 0.001)") for line in shown["lines"]
     )
