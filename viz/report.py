@@ -179,15 +179,16 @@ def _warnings(report: Report) -> list[str]:
 
 
 def _sites(report: Report) -> list[dict[str, Any]]:
-    """The sites that have a map, each with its figure: those of several runs and those where a
-    drive begins."""
+    """The sites that have a map, each with its figure: those of several runs, and where a drive
+    begins; without any drive all, as branches that nobody drove are listed by their numbers."""
     result = report.result
     if result is None:
         return []
     begins = {d.component for d in report.drives}
+    listed_all = bool(report.unexplored) or len(result.components) == 1
     weakest = weakest_links(result.verdicts, home_of(result.components))
     several, alone = _groups(result)
-    shown = [*several, *(c for c in alone if c.id in begins or len(result.components) == 1)]
+    shown = [*several, *(c for c in alone if c.id in begins or listed_all)]
     largest = sorted(shown, key=lambda c: -len(c.poses))[:MOST_MAPS]
     out = []
     for c in (c for c in shown if c in largest):
