@@ -138,7 +138,13 @@ def test_a_map_is_clicked_moved_zoomed_and_its_layers_switched(opened, html, tmp
     page.keyboard.up("Control")
     assert page.locator(MAP).first.evaluate(WIDTH) < wide
     before, _ = picture(page, MAP, tmp_path)
-    for layer in page.locator(".site").first.locator(".layers input").all():
+    layers = page.locator(".site").first.locator(".layers input").all()
+    layers[0].uncheck()
+    page.emulate_media(media="print")  # the key is printed, of what is shown
+    assert page.locator(".site .layers label:visible").count() == len(layers) - 1
+    assert page.locator(":is(.zoom, .find, .hint):visible").count() == 0
+    page.emulate_media(media="screen")
+    for layer in layers:
         layer.uncheck()
     assert told.text_content()
     assert picture(page, MAP, tmp_path)[0] < before
