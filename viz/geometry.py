@@ -40,6 +40,9 @@ TURNED_MARKERS: Mapping[str, Marker] = MappingProxyType(
 )
 """Its mark, a red one."""
 
+ROOM_MARKERS: Mapping[str, Marker] = MappingProxyType({"room": "square", "door": "diamond"})
+"""Marks of the places of saved maps of homes. Junctions, dead ends and bends are circles."""
+
 FINEST_M = 0.05
 """Lines are drawn with as few points as stay within it of the whole line, tracks with no more than
 one on such a way [m]."""

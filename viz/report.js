@@ -124,7 +124,9 @@ async function site(place) {
     const box = made("input", "", {type: "checkbox", checked: true}), label = made("label", "");
     const {glyph} = renderers[0], mark = made("i", "");
     const ink = (glyph.fill_color ?? glyph.line_color)?.value;
-    mark.style.background = ink;
+    mark.dataset.mark = glyph.marker?.value ?? "line";
+    if (glyph.marker && !glyph.fill_color?.value) mark.className = "ring";
+    mark.style.color = ink;
     box.onchange = () => renderers.forEach(r => { r.visible = box.checked; });
     label.append(box, " ", ...ink ? [mark] : [], name);
     find(".layers", section).append(label);

@@ -165,7 +165,8 @@ class SiteFigure:
             "x",
             "y",
             source=_source({"x": x, "y": y}, look.tips),
-            size=look.pens * PEN_PX,
+            # Bokeh's diamond is as high as a square and narrower.
+            size=look.pens * PEN_PX * (np.sqrt(2) if look.marker == "diamond" else 1.0),
             marker=look.marker,
             fill_color=None if look.ring else look.colour,
             line_color=look.colour,

@@ -20,6 +20,7 @@ from ..topology.views import Views
 from ..topology.wording import counted, listed
 from .geometry import (
     PENS,
+    ROOM_MARKERS,
     TURNED,
     TURNED_MARKERS,
     branch_arrows,
@@ -140,13 +141,17 @@ def draw_component(
     ]
     draw_ends(surface, apply(T, fused.xy[ends]), [fused.kind[v] for v in ends.tolist()], tips)
     shared = np.array([len(fused.members[v]) > 1 for v in part.vertices.tolist()], bool)
-    for which, ink, pens, key in (
-        (~shared, "single", MEDIUM, "junction seen by one run"),
-        (shared, "ink", LARGE, "junction seen by several runs"),
-    ):
-        rows = part.vertices[which & ~turned]
-        tips = [_describe_junction(fused, v) for v in rows.tolist()] if detailed else []
-        surface.dots(apply(T, fused.xy[rows]), Look(theme[ink], pens, tips=tips, key=key))
+    marker_of = [ROOM_MARKERS.get(kind, "circle") for kind in kinds]
+    for what, marker in (("junction", "circle"), *ROOM_MARKERS.items()):
+        own = ~turned & np.array([marker == mark for mark in marker_of], bool)
+        for which, ink, pens, by in (
+            (~shared, "single", MEDIUM, "one run"),
+            (shared, "ink", LARGE, "several runs"),
+        ):
+            rows = part.vertices[which & own]
+            tips = [_describe_junction(fused, v) for v in rows.tolist()] if detailed else []
+            look = Look(theme[ink], pens, tips=tips, key=f"{what} seen by {by}", marker=marker)
+            surface.dots(apply(T, fused.xy[rows]), look)
     _rings(surface, part, drives or (), changes)
     if detailed:
         draw_frame(surface, part.cell)

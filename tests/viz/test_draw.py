@@ -40,6 +40,16 @@ def test_a_map_shows_and_tells_its_junctions_and_corridors(make_map, theme) -> N
     assert any(t.endswith(" m") and t[0].isdigit() for t in texts)  # the scale
 
 
+def test_rooms_and_doors_have_marks_and_names_of_their_own(make_map, merge_of) -> None:
+    kind = ("room", "door", "junction", "bend", "dead_end")
+    texts, _ = seen(draw_map(replace(make_map("run"), kind=kind), LIGHT))
+    assert {"room", "door", "3 branches", "bend", "dead end"} <= set(texts)
+    result, _ = merge_of([["a", "b"]])
+    home = replace(result, fused=replace(result.fused, kind=kind))
+    texts, _ = seen(draw_merged(home, LIGHT))
+    assert {f"{what} seen by several runs" for what in ("room", "door", "junction")} <= set(texts)
+
+
 def test_maps_of_nothing_and_of_one_junction_can_be_drawn(empty_map, one_vertex) -> None:
     texts, _ = seen(draw_map(empty_map, LIGHT))
     assert "0 junctions, 0 corridors, 0 m; 0 passes" in texts

@@ -139,6 +139,8 @@ def test_a_map_is_clicked_moved_zoomed_and_its_layers_switched(opened, html, tmp
     assert page.locator(MAP).first.evaluate(WIDTH) < wide
     before, _ = picture(page, MAP, tmp_path)
     layers = page.locator(".site").first.locator(".layers input").all()
+    marks = page.locator(".site").first.locator(".layers i").all()
+    assert {mark.get_attribute("data-mark") for mark in marks} == {"line", "circle"}
     layers[0].uncheck()
     page.emulate_media(media="print")  # the key is printed, of what is shown
     assert page.locator(".site .layers label:visible").count() == len(layers) - 1
