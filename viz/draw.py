@@ -120,7 +120,7 @@ def draw_merged(
 
     sites: ids of the components to draw, all by default. With them junctions have the numbers of
     the document: all of up to MOST_NUMBERED junctions, of more those that `drives` or `changes`
-    name. maps: of runs whose walls are drawn as well; drives: to record next, for a picture of
+    name, or without any drive those with branches that nobody drove. maps: of runs whose walls are drawn as well; drives: to record next, for a picture of
     these and of branches that nobody drove; changes: for a picture of these.
     """
     fused, shown = result.fused, result if sites is None else of_sites(result, sites)
@@ -136,6 +136,8 @@ def draw_merged(
     draw_frames(canvas, cells, [part.title for part in parts])
     too_many = sites is not None and shown.fused.junctions > MOST_NUMBERED
     numbers = set() if sites is None else _named(drives, changes) if too_many else None
+    if too_many and drives is not None and not drives:
+        numbers = set(fused.branches.owner[free].tolist())
     several = sum(len(part.component.poses) > 1 for part in parts)
     for part in parts:
         draw_walls(canvas, views[part.component.id], part.cell.T_sheet_map, theme["wall"])

@@ -87,6 +87,9 @@ def test_where_numbers_have_no_room_pointing_tells_them(merge_of, monkeypatch) -
     }
     assert any("point at one" in text for text in texts)
     assert "5" not in texts
+    texts, _ = seen(draw_merged(merge_of([["a"], ["b", "c"]])[0], LIGHT, sites=[0, 1], drives=[]))
+    assert {"0", "5"} <= set(texts)  # have branches that nobody drove
+    assert "4" not in texts
 
 
 def test_walls_lie_under_the_map_where_views_show_them(make_map, merge_of) -> None:

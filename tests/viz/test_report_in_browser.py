@@ -121,6 +121,11 @@ def test_a_map_is_clicked_moved_zoomed_and_its_layers_switched(opened, html, tmp
     )
     page.mouse.click(*at(page, MAP, *place))
     shows(page, ".site .about", "Junction 2:")
+    shown = page.evaluate(
+        """async () => (await plots.get(document.querySelector('.site .map'))).renderers
+        .filter(r => r.glyph.text).flatMap(r => r.data_source.data.text)"""
+    )
+    assert {"drive 1", "0"} <= set(shown)  # it begins at junction 0
     page.locator(".site .find").first.fill("4")
     page.keyboard.press("Enter")
     shows(page, ".site .about", "Junction 4 (dead end):")
