@@ -120,8 +120,9 @@ def draw_merged(
 
     sites: ids of the components to draw, all by default. With them junctions have the numbers of
     the document: all of up to MOST_NUMBERED junctions, of more those that `drives` or `changes`
-    name, or without any drive those with branches that nobody drove. maps: of runs whose walls are drawn as well; drives: to record next, for a picture of
-    these and of branches that nobody drove; changes: for a picture of these.
+    name, or without any drive those with branches that nobody drove. maps: of runs whose walls are
+    drawn as well; drives: to record next, for a picture of these and of branches that nobody drove;
+    changes: for a picture of these.
     """
     fused, shown = result.fused, result if sites is None else of_sites(result, sites)
     views = {c.id: site_views(fused, c, maps) for c in shown.components}

@@ -20,6 +20,7 @@ from ..merge.decision_text import (
     to_record,
 )
 from ..merge.result import shown_bits
+from ..merge.wording import AGREES_BITS
 from ..topology.arrays import FloatArray
 from ..topology.matching.views import CONTRADICTS, SILENT, Compared
 from ..topology.se2 import apply, compose, turned
@@ -45,8 +46,8 @@ def draw_decision(a: TopoMap, b: TopoMap, decision: Decision, theme: Theme) -> C
     """Draw why two runs were merged or not: the placements of b over a, with lines between matched
     junctions, the links that speak for a placement and what speaks against it. Where nothing fits,
     the maps side by side."""
+    pictures, upright = _pictures(decision), [upright_rad(m.paths) for m in (a, b)]  # as alone
     a, b = with_turning_points(a), with_turning_points(b)
-    pictures, upright = _pictures(decision), [upright_rad(m.paths) for m in (a, b)]
     of_a, of_b = (
         np.concatenate([extent(m), wall_points(walls_of([m.views], m.frame))]) for m in (a, b)
     )
@@ -120,10 +121,12 @@ def _evidence(
     pairs, theme = placement.alignment.matched, canvas.theme
     for term in reversed(itemised(placement, LINKS)):
         if len(term.a) == 2:
-            good = term.bits >= 0
-            ink, key = (
-                ("agrees", "link that speaks for it") if good else ("against", CONTRADICTIONS)
-            )
+            if term.bits > 0:
+                ink, key = "agrees", "link that speaks for it"
+            elif term.bits < -AGREES_BITS:
+                ink, key = "against", CONTRADICTIONS
+            else:
+                ink, key = "dim", "link that says little"
             tips = [_describe_term(term, digits)]
             canvas.lines([at[0][[*term.a]]], Look(theme[ink], SMALL, tips=tips, key=key))
     same = [f"junction {u} = junction {v}" for u, v in pairs.tolist()]
@@ -149,7 +152,7 @@ def _seen(canvas: Canvas, seen: Compared, T: FloatArray, larger: float) -> None:
             Look(
                 theme.pale(ink) if kind == SILENT else ink,
                 larger * CELL_M / canvas.pen_m / (1 + run),
-                key=CONTRADICTIONS if kind == CONTRADICTS else "",
+                key="walls that contradict each other" if kind == CONTRADICTS else "",
             ),
         )
 

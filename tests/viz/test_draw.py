@@ -40,6 +40,13 @@ def test_a_map_shows_and_tells_its_junctions_and_corridors(make_map, theme) -> N
     assert any(t.endswith(" m") and t[0].isdigit() for t in texts)  # the scale
 
 
+def test_the_axes_of_the_frame_are_drawn_wherever_its_origin_lies(make_map) -> None:
+    for away_m, key in ((1.0, "axes of the frame, at its origin"), (99.0, "out of sight")):
+        texts, _ = seen(draw_map(make_map("run", (-away_m, -1.0, 0.3)), LIGHT))
+        assert {"x", "y"} <= set(texts)
+        assert any(key in text for text in texts)
+
+
 def test_rooms_and_doors_have_marks_and_names_of_their_own(make_map, merge_of) -> None:
     kind = ("room", "door", "junction", "bend", "dead_end")
     texts, _ = seen(draw_map(replace(make_map("run"), kind=kind), LIGHT))

@@ -22,7 +22,8 @@ EVERY = np.repeat(np.arange(5), 2).reshape(-1, 2)
 def placement(bits: float, matched: np.ndarray = EVERY) -> Placement:
     terms = (
         Term("corridor", bits - 1.0, "corridor", (0, 1), (0, 1), (10.0, 10.1)),
-        Term("unseen", -2.0, "junction unseen in a corridor", (2, 3), (4,)),
+        Term("corridor", -0.1, "common length", (1, 2), (1, 2), (6.0, 6.2)),
+        Term("unseen", -1.9, "junction unseen in a corridor", (2, 3), (4,)),
         Term("elsewhere", -1.0, "corridors that lead elsewhere", (0, 1), (2, 3)),
         *(Term("branches", 1.0, "3 and 3 branches", (v,), (v,)) for v in range(len(matched))),
         Term("hypotheses", 4.0 - len(matched), "chosen from 3"),
@@ -48,7 +49,8 @@ def test_a_merged_pair_is_tied_junction_by_junction(make_map) -> None:
     assert "placement: 30.0 bits" not in texts  # the only picture
     assert {f"junction {k} = junction {k}" for k in range(5)} <= set(titles)
     assert "+29.0 bits: corridor" in titles
-    assert "-2.0 bits: junction unseen in a corridor" in titles
+    assert "-1.9 bits: junction unseen in a corridor" in titles
+    assert "link that says little" in texts
     assert {"matched junctions, tied", "link that speaks for it", "what speaks against it"} <= set(
         texts
     )
@@ -103,6 +105,7 @@ def test_views_that_speak_most_for_and_against_are_laid_over_each_other(make_map
     canvas = draw_decision(a, b, shown, LIGHT)
     texts, _ = seen(canvas)
     assert {"views for it: +3.0 bits", "views against it: -2.5 bits"} <= set(texts)
+    assert "walls that contradict each other" in texts
     svg = canvas.as_bytes("svg").decode()
     assert LIGHT.pale(LIGHT.run(0)) in svg  # walls of a that say nothing
     texts, _ = seen(draw_decision(a, b, decision(Verdict.MERGED, [placement(30.0)]), LIGHT))
