@@ -249,6 +249,11 @@ def _measured(m: TopoMap) -> list[str]:
     accepted = sum(c.accepted for c in m.closures)
     refused = sum(not c.accepted and not c.revised for c in m.closures)
     jumps = m.info.get("jumps")
+    noises = [
+        f"{np.degrees(noise.heading_rad_per_sqrt_m):.2f}°/√m",
+        f"{100 * noise.miss_rate:.1f} %",
+        f"{100 * noise.branch_fault_rate:.1f} %",
+    ]
     return [
         begin,
         lasts,
@@ -257,8 +262,6 @@ def _measured(m: TopoMap) -> list[str]:
         f"{len(m.source):,} ({float(m.length.sum()):,.0f} m)",
         f"{accepted:,}",
         f"{refused:,}",
-        f"{np.degrees(noise.heading_rad_per_sqrt_m):.2f}°/√m",
-        f"{100 * noise.miss_rate:.1f} %",
-        f"{100 * noise.branch_fault_rate:.1f} %",
+        *(noises if len(times) else ["—"] * len(noises)),
         str(len(jumps)) if isinstance(jumps, Sequence) else "0",
     ]

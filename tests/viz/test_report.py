@@ -260,7 +260,9 @@ def test_the_time_line_says_which_maps_it_lacks(merge_of) -> None:
     result, (first, *others) = merge_of([["a", "b"], ["c"]])
     none = np.zeros(0, np.int64)
     grid = replace(first, observation_time_ns=none, observation_vertex=none)
-    assert "Without a time: 1 saved map." in Page(page_of(result, [grid, *others])).text
+    told = Page(page_of(result, [grid, *others])).text
+    assert "Without a time: 1 saved map." in told
+    assert told.count("°/√m") == 2  # nor has it any noise
     assert "Without a time" not in Page(page_of(result, [first, *others])).text
 
 
