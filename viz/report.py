@@ -194,7 +194,7 @@ def _sites(report: Report) -> list[dict[str, Any]]:
     for c in (c for c in shown if c in largest):
         runs, fused = sorted(c.poses), of_sites(result, [c.id]).fused
         maps = {run: report.maps[run] for run in runs if report.as_merged and run in report.maps}
-        plot = site_map(result, c, maps, report.changes, report.drives)
+        plot = site_map(result, c, maps, _sure_changes(report), report.drives)
         wide, high = (r.end - r.start for r in (plot.x_range, plot.y_range))
         out.append(
             {
@@ -212,14 +212,20 @@ def _sites(report: Report) -> list[dict[str, Any]]:
     return out
 
 
-def _changes(report: Report) -> list[tuple[str, list[str]]]:
-    """The words of the changes of every site of several runs, in the order of their numbers."""
+def _sure_changes(report: Report) -> list[Change]:
+    """The changes that are shown, in the order of the sites, as `topobatch changes` has them."""
+    order = [] if report.result is None else [c.id for c in in_order(report.result)]
+    return sorted((c for c in report.changes if c.sure), key=lambda c: order.index(c.component))
+
+
+def _changes(report: Report) -> list[tuple[str, list[tuple[int, str]]]]:
+    """The changes of every site of several runs, with their numbers."""
     if report.result is None or not report.as_merged:
         return []
     several, _ = _groups(report.result)
-    sure = [c for _, c in numbered(report.changes) if c.sure]
+    sure = numbered(_sure_changes(report))
     return [
-        (own.name, [describe_change(c, own.name) for c in sure if c.component == own.id])
+        (own.name, [(k, describe_change(c, own.name)) for k, c in sure if c.component == own.id])
         for own in several
     ]
 

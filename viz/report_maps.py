@@ -72,7 +72,7 @@ def site_map(
         detailed=True,
         numbers=None,
         drives=drives,
-        changes=[c for c in changes if c.sure],
+        changes=changes,
     )
     return surface.plot
 

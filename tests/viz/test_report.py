@@ -199,6 +199,17 @@ def test_a_site_has_layers_and_says_what_is_clicked(merge_of) -> None:
     assert "data-site-1" not in page.scripts  # it stands alone: its run's own map is there
 
 
+def test_changes_are_numbered_throughout_all_sites(merge_of) -> None:
+    result, maps = merge_of([["a", "b"], ["c", "d"]])
+    html = page_of(named(result), maps, changes=[change(component=1), change()])
+    assert re.findall(r'<li value="(\d)">Gone: .* of (site \d)', html) == [
+        ("1", "site 0"),
+        ("2", "site 1"),
+    ]
+    numbers, *_ = Page(html).sources("site-1")["numbers"]
+    assert numbers["text"] == ["2"]
+
+
 def test_every_pair_is_in_the_page_with_its_reason(merge_of) -> None:
     result, maps = merge_of([["a", "b"], ["c"]], [("b", "c")])
     pair = next(v for v in result.verdicts if v.standing is Standing.AMBIGUOUS)
