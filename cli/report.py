@@ -82,7 +82,7 @@ def report(
             decisions[pair] = replace(one, notes=(*one.notes, *words))
         advance(0, doing="drawing the page")
         found = drives(result) if result else ()
-        sites = {c.name for c in result.components if len(c.poses) > 1} if result else set()
+        sites = {c.name for c in result.components} if result else set()
         lines = nothing_worth(result, sites, place) if result and not found else ()
         html = report_page(
             Report(

@@ -118,16 +118,13 @@ def _passes(witnesses: tuple[Witness, ...]) -> str:
 
 
 def numbered(found: Iterable[Change]) -> list[tuple[int, Change]]:
-    """Changes with their numbers, by which lists and pictures call them: those of a site from 1 on,
-    the sure ones first, by time."""
+    """Changes with their numbers, by which lists and pictures call them: from 1 on, site by site as
+    given, of a site the sure ones first, by time."""
     by_site: dict[int, list[Change]] = {}
     for change in found:
         by_site.setdefault(change.component, []).append(change)
-    return [
-        (k, change)
-        for own in by_site.values()
-        for k, change in enumerate(sorted(own, key=_in_time), 1)
-    ]
+    ordered = [change for own in by_site.values() for change in sorted(own, key=_in_time)]
+    return list(enumerate(ordered, 1))
 
 
 def _in_time(change: Change) -> tuple[bool, int, tuple[int, ...]]:

@@ -5,6 +5,7 @@ Degrees and decimals for people; documents hold radians.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from textwrap import wrap
@@ -268,6 +269,16 @@ def advice(decision: Decision) -> str:
     pair = decision.pair
     open_ = pair.verdict is Verdict.AMBIGUOUS and not pair.accepted and not pair.through
     return f"To settle it: {pair.advice}" if open_ and pair.advice else ""
+
+
+_ADVISED = re.compile(r"the corridor that (.+) drove from its junction (\d+) to (\d+) ")
+
+
+def to_record(pair: PairVerdict) -> tuple[str, tuple[int, int]] | None:
+    """The corridor that the advice on a pair names: the run that drove it, and its ends in the map
+    of that run; None where it names none."""
+    found = _ADVISED.search(pair.advice or "")
+    return None if found is None else (found[1], (int(found[2]), int(found[3])))
 
 
 def sum_label(decision: Decision) -> str:

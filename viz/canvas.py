@@ -34,7 +34,7 @@ from ..topology.arrays import FloatArray
 from ..topology.run import Grid
 from ..topology.wording import legible
 from .geometry import PENS, Marker
-from .palette import LARGE, MEDIUM, RING, SMALL, THIN, Theme
+from .palette import LARGE, MEDIUM, RING, SMALL, THIN, Colour, Theme
 from .surface import Look
 
 Format = Literal["svg", "png"]
@@ -205,8 +205,11 @@ class Canvas:
         # What is drawn as a picture must not move the corners.
         self._axes.set(xlim=(self.low[0], self.high[0]), ylim=(self.low[1], self.high[1]))
 
-    def words(self, xy: FloatArray, texts: Sequence[str], *, bold: bool = False) -> None:
-        """Write a text beside each of the points (n, 2) [m] that they name, off other texts."""
+    def words(
+        self, xy: FloatArray, texts: Sequence[str], *, bold: bool = False, ink: Colour = ""
+    ) -> None:
+        """Write a text beside each of the points (n, 2) [m] that they name, off other texts. ink:
+        its colour, by default that of all text."""
         size_pt = TEXT_PT if bold else SMALL_PT
         for at, text in zip(xy, map(legible, texts), strict=True):
             half = self._half(text, size_pt)
@@ -215,7 +218,7 @@ class Canvas:
             written = np.reshape(self._written, (-1, 4))
             off = np.abs(places[:, None] - written[:, :2]) - half - written[:, 2:]
             over = np.maximum(-off.max(axis=-1), 0.0).sum(axis=1)
-            self._write(places[int(over.argmin())], text, size_pt, bold=bold)
+            self._write(places[int(over.argmin())], text, size_pt, bold=bold, ink=ink)
 
     def title(self, top: FloatArray, text: str) -> None:
         """Write a text below a point (2,) [m]."""
@@ -226,10 +229,15 @@ class Canvas:
         sides_pt = np.array([LETTER * size_pt * len(text), size_pt])
         return np.asarray(sides_pt / (2 * self.points_per_m))
 
-    def _write(self, at: FloatArray, text: str, size_pt: float, *, bold: bool = False) -> None:
+    def _write(
+        self, at: FloatArray, text: str, size_pt: float, *, bold: bool = False, ink: Colour = ""
+    ) -> None:
         """Write a text centred at a point (2,) [m]."""
         self._written.append(np.concatenate([at, self._half(text, size_pt)]))
         font = self._font(size_pt, bold=bold)
+        if ink:  # the line below it may have the same one
+            box = {"boxstyle": "square,pad=0.1", "fc": self.theme["paper"], "lw": 0, "alpha": 0.7}
+            font |= {"color": ink, "bbox": box}
         self._axes.text(*at.tolist(), text, ha="center", va="center", **font)
 
     def _font(self, size_pt: float = TEXT_PT, *, bold: bool = False) -> dict[str, Any]:

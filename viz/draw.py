@@ -18,7 +18,7 @@ from ..topology.topomap import TopoMap
 from ..topology.turning_vertices import with_turning_points
 from ..topology.wording import counted, to_turning_points
 from .canvas import TEXT_PT, WIDTH_PT, Canvas, letters
-from .geometry import MOST_NUMBERED, TURNED, bounds, extent, usual_m
+from .geometry import MOST_NUMBERED, ROOM_MARKERS, TURNED, bounds, extent, usual_m
 from .pages import describe_corridor, describe_map
 from .palette import LARGE, MEDIUM, THIN, Theme
 from .parts import Part, lay_out, ranks
@@ -36,6 +36,12 @@ MOST_TIMES = 3
 """Corridors driven more often than this are drawn no wider."""
 
 _KINDS = ("nothing seen leaving", "dead end", "bend", "3 branches", "4 branches", "5 and more")
+_MARKS = {
+    **{label: (f"degree {k}", LARGE if k >= 3 else MEDIUM) for k, label in enumerate(_KINDS)},
+    "room": ("ink", LARGE),
+    "door": ("single", MEDIUM),
+}
+"""Colour and size of each kind of vertex."""
 
 
 def draw_map(topomap: TopoMap, theme: Theme) -> Canvas:
@@ -76,15 +82,16 @@ def _corridors_of(canvas: Canvas, m: TopoMap, T: FloatArray) -> None:
 
 
 def _junctions_of(canvas: Canvas, m: TopoMap, T: FloatArray) -> None:
-    """Draw the junctions, coloured by their branches, with their numbers."""
+    """Draw the junctions, coloured by their branches, rooms and doors, with their numbers."""
     xy = apply(T, m.xy)
-    group = np.minimum(m.degree, len(_KINDS) - 1)
-    for degree, label in enumerate(_KINDS):
-        rows = np.flatnonzero(group == degree).tolist()
-        colour, pens = canvas.theme[f"degree {degree}"], LARGE if degree >= 3 else MEDIUM
-        canvas.dots(
-            xy[rows], Look(colour, pens, tips=[_describe_vertex(m, i) for i in rows], key=label)
-        )
+    group = np.minimum(m.degree, len(_KINDS) - 1).tolist()
+    label_of = [
+        kind if kind in ROOM_MARKERS else _KINDS[k] for kind, k in zip(m.kind, group, strict=True)
+    ]
+    for label, (ink, pens) in _MARKS.items():
+        rows = [i for i, own in enumerate(label_of) if own == label]
+        tips, marker = [_describe_vertex(m, i) for i in rows], ROOM_MARKERS.get(label, "circle")
+        canvas.dots(xy[rows], Look(canvas.theme[ink], pens, tips=tips, key=label, marker=marker))
     if len(m) <= MOST_NUMBERED:
         canvas.words(xy, [*map(str, range(len(m)))])
 
@@ -113,8 +120,9 @@ def draw_merged(
 
     sites: ids of the components to draw, all by default. With them junctions have the numbers of
     the document: all of up to MOST_NUMBERED junctions, of more those that `drives` or `changes`
-    name. maps: of runs whose walls are drawn as well; drives: to record next, for a picture of
-    these and of branches that nobody drove; changes: for a picture of these.
+    name, or without any drive those with branches that nobody drove. maps: of runs whose walls are
+    drawn as well; drives: to record next, for a picture of these and of branches that nobody drove;
+    changes: for a picture of these.
     """
     fused, shown = result.fused, result if sites is None else of_sites(result, sites)
     views = {c.id: site_views(fused, c, maps) for c in shown.components}
@@ -129,6 +137,8 @@ def draw_merged(
     draw_frames(canvas, cells, [part.title for part in parts])
     too_many = sites is not None and shown.fused.junctions > MOST_NUMBERED
     numbers = set() if sites is None else _named(drives, changes) if too_many else None
+    if too_many and drives is not None and not drives:
+        numbers = set(fused.branches.owner[free].tolist())
     several = sum(len(part.component.poses) > 1 for part in parts)
     for part in parts:
         draw_walls(canvas, views[part.component.id], part.cell.T_sheet_map, theme["wall"])

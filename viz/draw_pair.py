@@ -17,8 +17,10 @@ from ..merge.decision_text import (
     listed,
     named_views,
     other_name,
+    to_record,
 )
 from ..merge.result import shown_bits
+from ..merge.wording import AGREES_BITS
 from ..topology.arrays import FloatArray
 from ..topology.matching.views import CONTRADICTS, SILENT, Compared
 from ..topology.se2 import apply, compose, turned
@@ -27,7 +29,7 @@ from ..topology.turning_vertices import with_turning_points
 from ..topology.views import CELL_M, REACH_M
 from .canvas import Canvas
 from .draw import draw_frames
-from .geometry import MOST_NUMBERED, bounds, contradiction_spots, extent, usual_m
+from .geometry import MOST_NUMBERED, between, bounds, contradiction_spots, extent, usual_m
 from .palette import LARGE, RING, SMALL, THIN, Theme
 from .scene import draw_frame, draw_walls, view_layers
 from .sheet import arrange, corners_of, outline, upright_rad
@@ -44,8 +46,8 @@ def draw_decision(a: TopoMap, b: TopoMap, decision: Decision, theme: Theme) -> C
     """Draw why two runs were merged or not: the placements of b over a, with lines between matched
     junctions, the links that speak for a placement and what speaks against it. Where nothing fits,
     the maps side by side."""
+    pictures, upright = _pictures(decision), [upright_rad(m.paths) for m in (a, b)]  # as alone
     a, b = with_turning_points(a), with_turning_points(b)
-    pictures, upright = _pictures(decision), [upright_rad(m.paths) for m in (a, b)]
     of_a, of_b = (
         np.concatenate([extent(m), wall_points(walls_of([m.views], m.frame))]) for m in (a, b)
     )
@@ -61,14 +63,19 @@ def draw_decision(a: TopoMap, b: TopoMap, decision: Decision, theme: Theme) -> C
     titles = [title for title, *_ in pictures] or [a.run, b.run]
     titles += [named_views(t) for t, _ in views]
     draw_frames(canvas, cells, titles)
+    asked = to_record(decision.pair) if advice(decision) else None
     for (_, placement, T_a_b), cell in zip(pictures, cells, strict=False):
         poses = (cell.T_sheet_map, compose(cell.T_sheet_map, T_a_b))
         draw_frame(canvas, cell)
+        if asked is not None:
+            side = (a.run, b.run).index(asked[0])
+            paths = [apply(poses[side], path) for path in between((a, b)[side], asked[1])]
+            canvas.lines(paths, Look(canvas.theme["planned"], RING, key="corridor to record"))
         _own_maps(canvas, (a, b), poses)
         if placement is not None:
             at = (apply(poses[0], a.xy), apply(poses[1], b.xy))
             _evidence(canvas, placement, at, digits_of(decision))
-            _numbers(canvas, placement, (a, b), at)
+            _numbers(canvas, placement, (a, b), at, asked)
     if not pictures:
         _own_maps(canvas, (a, b), [cell.T_sheet_map for cell in cells])
     for (_, seen), cell in zip(views, cells[len(pictures) :], strict=bool(views)):
@@ -114,10 +121,12 @@ def _evidence(
     pairs, theme = placement.alignment.matched, canvas.theme
     for term in reversed(itemised(placement, LINKS)):
         if len(term.a) == 2:
-            good = term.bits >= 0
-            ink, key = (
-                ("agrees", "link that speaks for it") if good else ("against", CONTRADICTIONS)
-            )
+            if term.bits > 0:
+                ink, key = "agrees", "link that speaks for it"
+            elif term.bits < -AGREES_BITS:
+                ink, key = "against", CONTRADICTIONS
+            else:
+                ink, key = "dim", "link that says little"
             tips = [_describe_term(term, digits)]
             canvas.lines([at[0][[*term.a]]], Look(theme[ink], SMALL, tips=tips, key=key))
     same = [f"junction {u} = junction {v}" for u, v in pairs.tolist()]
@@ -143,7 +152,7 @@ def _seen(canvas: Canvas, seen: Compared, T: FloatArray, larger: float) -> None:
             Look(
                 theme.pale(ink) if kind == SILENT else ink,
                 larger * CELL_M / canvas.pen_m / (1 + run),
-                key=CONTRADICTIONS if kind == CONTRADICTS else "",
+                key="walls that contradict each other" if kind == CONTRADICTS else "",
             ),
         )
 
@@ -153,15 +162,16 @@ def _numbers(
     placement: Placement,
     maps: tuple[TopoMap, TopoMap],
     at: tuple[FloatArray, FloatArray],
+    asked: tuple[str, tuple[int, int]] | None,
 ) -> None:
-    """Write the numbers of junctions, matched ones as of a: advice and contradictions name also
-    junctions that are not matched. Of large maps only those of matched junctions."""
-    of_a, of_b = (np.flatnonzero(~m.is_turned).tolist() for m in maps)
-    matched_a, matched_b = (placement.alignment.matched[:, k].tolist() for k in (0, 1))
-    rows_a = of_a if len(of_a) <= MOST_NUMBERED else sorted(matched_a)
-    rows_b = [v for v in of_b if v not in matched_b] if len(of_b) <= MOST_NUMBERED else []
-    for xy, rows in zip(at, (rows_a, rows_b), strict=True):
-        canvas.words(xy[rows], [*map(str, rows)])
+    """Write the numbers of junctions, each in the colour of its run. Of large maps only those of
+    matched junctions and of the corridor to record (`to_record`)."""
+    for k, (m, xy) in enumerate(zip(maps, at, strict=True)):
+        rows = np.flatnonzero(~m.is_turned)
+        if len(rows) > MOST_NUMBERED:
+            ends = asked[1] if asked is not None and asked[0] == m.run else ()
+            rows = np.intersect1d(rows, [*placement.alignment.matched[:, k], *ends])
+        canvas.words(xy[rows], [*map(str, rows.tolist())], ink=canvas.theme.run(k))
 
 
 def _describe_term(term: Term, digits: int) -> str:

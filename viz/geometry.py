@@ -40,6 +40,9 @@ TURNED_MARKERS: Mapping[str, Marker] = MappingProxyType(
 )
 """Its mark, a red one."""
 
+ROOM_MARKERS: Mapping[str, Marker] = MappingProxyType({"room": "square", "door": "diamond"})
+"""Marks of the places of saved maps of homes. Junctions, dead ends and bends are circles."""
+
 FINEST_M = 0.05
 """Lines are drawn with as few points as stay within it of the whole line, tracks with no more than
 one on such a way [m]."""
@@ -64,6 +67,13 @@ def pen_m(graph: Graph) -> float:
 def extent(graph: Graph) -> FloatArray:
     """(k, 2) the map's vertices and corridor points: what a picture has to hold [m]."""
     return np.concatenate([graph.xy, *graph.paths])
+
+
+def between(graph: Graph, ends: tuple[int, int]) -> list[FloatArray]:
+    """The corridors, (k, 2) each [m], between two junctions."""
+    rows = np.stack([graph.source, graph.target], axis=1)
+    own = np.all(np.sort(rows, axis=1) == sorted(ends), axis=1)
+    return [graph.paths[k] for k in np.flatnonzero(own).tolist()]
 
 
 def branch_arrows(graph: Graph, chosen: BoolArray, pen: float) -> tuple[FloatArray, FloatArray]:

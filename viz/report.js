@@ -124,7 +124,9 @@ async function site(place) {
     const box = made("input", "", {type: "checkbox", checked: true}), label = made("label", "");
     const {glyph} = renderers[0], mark = made("i", "");
     const ink = (glyph.fill_color ?? glyph.line_color)?.value;
-    mark.style.background = ink;
+    mark.dataset.mark = glyph.marker?.value ?? "line";
+    if (glyph.marker && !glyph.fill_color?.value) mark.className = "ring";
+    mark.style.color = ink;
     box.onchange = () => renderers.forEach(r => { r.visible = box.checked; });
     label.append(box, " ", ...ink ? [mark] : [], name);
     find(".layers", section).append(label);
@@ -177,19 +179,22 @@ const laid = (m, t) => ({
 const lines = paths => ({xs: paths.map(p => p.map(q => q[0])), ys: paths.map(p => p.map(q => q[1]))});
 const dots = points => ({x: points.map(q => q[0]), y: points.map(q => q[1])});
 
-function fill(plot, a, b, placed) {
-  const upright = [0, 0, a.map.turn], one = laid(a.map, upright);
+function fill(plot, a, b, placed, record) {
+  const upright = [0, 0, a.map.turn], one = laid(a.map, upright), [of, ends, advised] = record ?? [0, [], [[], []]];
   const two = b ? laid(b.map, composed(upright, placed.t)) : {dots: [], paths: []};
   const spots = placed?.spots ?? [], both = [one.dots, two.dots];
   const alone = spots.flatMap(spot => spot.map((ends, k) => ends.length === 1 ? [both[k][ends[0]]] : []).flat());
   const crossing = spots.filter(s => s.every(ends => ends.length === 2))
     .flatMap(spot => spot.map((ends, k) => ends.map(v => both[k][v])));
-  // Matched junctions first, where there is no room for all; the others are spoken of as well.
+  // What the advice names and matched junctions first, where there is no room for all.
   const numbers = (side, m) => {
-    const ks = [...new Set([...(placed?.ties ?? []).map(t => t[side]), ...Array(m?.junctions ?? 0).keys()])];
+    const ks = [...new Set([...of === side ? ends : [], ...(placed?.ties ?? []).map(t => t[side]), ...Array(m?.junctions ?? 0).keys()])];
     return {...dots(ks.map(k => both[side][k])), text: ks.map(String)};
   };
+  const asked = advised[0].map((xs, k) => xs.map((x, i) =>
+    turned(of ? composed(upright, placed.t) : upright, x, advised[1][k][i])));
   const filled = {
+    record: lines(asked),
     a: lines(one.paths), b: lines(two.paths), "a dots": dots(one.dots), "b dots": dots(two.dots),
     ties: lines((placed?.ties ?? []).map(([u, v]) => [one.dots[u], two.dots[v]])),
     links: lines((placed?.links ?? []).map(ends => ends.map(v => one.dots[v]))),
@@ -197,7 +202,7 @@ function fill(plot, a, b, placed) {
   };
   for (const {data_source: source} of plot.renderers) source.data = filled[source.name];
   const points = [...one.dots, ...one.paths.flat(), ...two.dots, ...two.paths.flat()];
-  const of = k => points.map(q => q[k]), low = k => Math.min(...of(k)), high = k => Math.max(...of(k));
+  const all = k => points.map(q => q[k]), low = k => Math.min(...all(k)), high = k => Math.max(...all(k));
   const spare = .05 * Math.max(high(0) - low(0), high(1) - low(1), 4);
   plot.usual = a.map.usual;
   plot.box = [low(0) - spare, high(0) + spare, low(1) - spare, high(1) + spare];
@@ -264,7 +269,7 @@ async function open(i, j) {
       command(find(".copy", figure), call(`lock ${a.shell} ${b.shell} --same${where}`), "if they are one place:");
       find("#key").hidden = false;
     }
-    fill(await draw(find(".map", figure)), a, b, at);
+    fill(await draw(find(".map", figure)), a, b, at, p?.record);
   }
   evidence(p);
   if (alone) find("#never").replaceChildren();

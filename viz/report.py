@@ -179,21 +179,22 @@ def _warnings(report: Report) -> list[str]:
 
 
 def _sites(report: Report) -> list[dict[str, Any]]:
-    """The sites that have a map, each with its figure: those of several runs and those where a
-    drive begins."""
+    """The sites that have a map, each with its figure: those of several runs, and where a drive
+    begins; without any drive all, as branches that nobody drove are listed by their numbers."""
     result = report.result
     if result is None:
         return []
     begins = {d.component for d in report.drives}
+    listed_all = bool(report.unexplored) or len(result.components) == 1
     weakest = weakest_links(result.verdicts, home_of(result.components))
     several, alone = _groups(result)
-    shown = [*several, *(c for c in alone if c.id in begins or len(result.components) == 1)]
+    shown = [*several, *(c for c in alone if c.id in begins or listed_all)]
     largest = sorted(shown, key=lambda c: -len(c.poses))[:MOST_MAPS]
     out = []
     for c in (c for c in shown if c in largest):
         runs, fused = sorted(c.poses), of_sites(result, [c.id]).fused
         maps = {run: report.maps[run] for run in runs if report.as_merged and run in report.maps}
-        plot = site_map(result, c, maps, report.changes, report.drives)
+        plot = site_map(result, c, maps, _sure_changes(report), report.drives)
         wide, high = (r.end - r.start for r in (plot.x_range, plot.y_range))
         out.append(
             {
@@ -211,14 +212,20 @@ def _sites(report: Report) -> list[dict[str, Any]]:
     return out
 
 
-def _changes(report: Report) -> list[tuple[str, list[str]]]:
-    """The words of the changes of every site of several runs, in the order of their numbers."""
+def _sure_changes(report: Report) -> list[Change]:
+    """The changes that are shown, in the order of the sites, as `topobatch changes` has them."""
+    order = [] if report.result is None else [c.id for c in in_order(report.result)]
+    return sorted((c for c in report.changes if c.sure), key=lambda c: order.index(c.component))
+
+
+def _changes(report: Report) -> list[tuple[str, list[tuple[int, str]]]]:
+    """The changes of every site of several runs, with their numbers."""
     if report.result is None or not report.as_merged:
         return []
     several, _ = _groups(report.result)
-    sure = [c for _, c in numbered(report.changes) if c.sure]
+    sure = numbered(_sure_changes(report))
     return [
-        (own.name, [describe_change(c, own.name) for c in sure if c.component == own.id])
+        (own.name, [(k, describe_change(c, own.name)) for k, c in sure if c.component == own.id])
         for own in several
     ]
 
@@ -248,6 +255,11 @@ def _measured(m: TopoMap) -> list[str]:
     accepted = sum(c.accepted for c in m.closures)
     refused = sum(not c.accepted and not c.revised for c in m.closures)
     jumps = m.info.get("jumps")
+    noises = [
+        f"{np.degrees(noise.heading_rad_per_sqrt_m):.2f}°/√m",
+        f"{100 * noise.miss_rate:.1f} %",
+        f"{100 * noise.branch_fault_rate:.1f} %",
+    ]
     return [
         begin,
         lasts,
@@ -256,8 +268,6 @@ def _measured(m: TopoMap) -> list[str]:
         f"{len(m.source):,} ({float(m.length.sum()):,.0f} m)",
         f"{accepted:,}",
         f"{refused:,}",
-        f"{np.degrees(noise.heading_rad_per_sqrt_m):.2f}°/√m",
-        f"{100 * noise.miss_rate:.1f} %",
-        f"{100 * noise.branch_fault_rate:.1f} %",
+        *(noises if len(times) else ["—"] * len(noises)),
         str(len(jumps)) if isinstance(jumps, Sequence) else "0",
     ]

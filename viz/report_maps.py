@@ -72,7 +72,7 @@ def site_map(
         detailed=True,
         numbers=None,
         drives=drives,
-        changes=[c for c in changes if c.sure],
+        changes=changes,
     )
     return surface.plot
 
@@ -165,7 +165,8 @@ class SiteFigure:
             "x",
             "y",
             source=_source({"x": x, "y": y}, look.tips),
-            size=look.pens * PEN_PX,
+            # Bokeh's diamond is as high as a square and narrower.
+            size=look.pens * PEN_PX * (np.sqrt(2) if look.marker == "diamond" else 1.0),
             marker=look.marker,
             fill_color=None if look.ring else look.colour,
             line_color=look.colour,
@@ -178,10 +179,11 @@ class SiteFigure:
         )
 
     def words(self, xy: FloatArray, texts: Sequence[str], *, bold: bool = False) -> None:
-        """Write texts; the page leaves out what has no room."""
+        """Write texts, bold ones on the other side than numbers; the page leaves out what has no
+        room."""
         if len(texts):
-            style = "bold" if bold else "normal"
-            write_beside(self.plot, xy, texts, BOTH.ink, "left", text_font_style=style)
+            side, style = ("right", "bold") if bold else ("left", "normal")
+            write_beside(self.plot, xy, texts, BOTH.ink, side, text_font_style=style)
 
     def cells(self, grid: Grid, look: Look, alpha: float = 1.0) -> None:
         """Draw cells, as a picture; as of `Surface`."""
@@ -219,8 +221,8 @@ def path_columns(paths: Sequence[FloatArray]) -> tuple[Any, Any]:
 def write_beside(
     plot: Any, xy: FloatArray, texts: Sequence[str], ink: str, side: str, **look: Any
 ) -> None:
-    """Write a text above and beside each of the points (n, 2). side: of the text at which the point
-    is, "left" or "right"; look: of Bokeh's texts."""
+    """Write a text beside each of the points (n, 2). side: of the text at which the point is:
+    "left", then it stands above, or "right", below; look: of Bokeh's texts."""
     x, y = columns(xy)
     plot.text(
         "x",

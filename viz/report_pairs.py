@@ -20,16 +20,28 @@ from ..merge.decision_text import (
     needs,
     rows,
     short,
+    to_record,
 )
 from ..merge.result import Alignment, MergeResult, PairVerdict, Standing, home_of, shown_bits
 from ..topology.matching.views import SILENT, Compared
 from ..topology.se2 import turned
 from ..topology.topomap import TopoMap
+from ..topology.turning_vertices import with_turning_points
 from ..topology.views import CELL_M
 from ..topology.wording import legible
+from .geometry import between
 from .palette import BOTH, RING, SMALL, THIN, rgb
 from .parts import CLASS, runs_in_order, spans_of, strongest, verdict_matrix
-from .report_maps import CHOSEN, PEN_PX, blank_figure, map_figure, own_map, picture, write_beside
+from .report_maps import (
+    CHOSEN,
+    PEN_PX,
+    blank_figure,
+    map_figure,
+    own_map,
+    path_columns,
+    picture,
+    write_beside,
+)
 from .scene import view_layers
 from .sheet import upright_rad
 
@@ -97,6 +109,7 @@ def pair_figure() -> Any:
     plot = map_figure(np.zeros(2), np.ones(2))
     one, two = BOTH.run(0), BOTH.run(1)
     for name, ink, pens in (
+        ("record", BOTH["planned"], RING),
         ("links", BOTH["agrees"] + FAINT, RING),
         ("a", one, 1),
         ("b", two, 1),
@@ -188,6 +201,10 @@ def _opened(
         placed = [_placed(a, maps, pair) for a in (pair.best, pair.runner_up) if a is not None]
     if shown := [p for p in placed if p is not None]:
         out["placed"] = shown
+        if not pair.through and (asked := to_record(pair)) is not None:
+            run, ends = asked
+            paths = path_columns(between(with_turning_points(maps[run]), ends))
+            out["record"] = [int(run == pair.b), ends, paths]
     return out
 
 

@@ -20,6 +20,7 @@ from ..topology.views import Views
 from ..topology.wording import counted, listed
 from .geometry import (
     PENS,
+    ROOM_MARKERS,
     TURNED,
     TURNED_MARKERS,
     branch_arrows,
@@ -85,14 +86,17 @@ def draw_ends(surface: Surface, xy: FloatArray, kinds: Sequence[str], tips: Sequ
 
 
 def draw_frame(surface: Surface, cell: Cell) -> None:
-    """Draw the axes of a map's frame at its origin, where that lies in its cell."""
-    T = cell.T_sheet_map
+    """Draw the axes of a map's frame at its origin; where that lies outside of the cell, in the
+    lower right corner, away from a scale bar."""
+    T, length = cell.T_sheet_map, PENS * surface.pen_m
+    key = "axes of the frame, at its origin"
     if not np.all((cell.low < T[:2]) & (T[:2] < cell.high)):
-        return
-    reach = PENS * surface.pen_m * np.array([(1.0, 0.0), (0.0, 1.0)])
-    axes = [apply(T, np.stack([np.zeros(2), tip])) for tip in reach]
-    surface.lines(axes, Look(surface.theme["ink"], THIN, key="axes of the frame, at its origin"))
-    surface.words(apply(T, reach), ["x", "y"])
+        corner = np.array([cell.high[0], cell.low[1]]) + 1.5 * length * np.array([-1, 1])
+        T, key = np.array([*corner, T[2]]), "axes of the frame; its origin is out of sight"
+    tips = length * np.eye(2)
+    axes = [apply(T, np.stack([np.zeros(2), tip])) for tip in tips]
+    surface.lines(axes, Look(surface.theme["ink"], THIN, key=key))
+    surface.words(apply(T, 1.2 * tips), ["x", "y"])  # clear of the axes
 
 
 def draw_component(
@@ -140,13 +144,17 @@ def draw_component(
     ]
     draw_ends(surface, apply(T, fused.xy[ends]), [fused.kind[v] for v in ends.tolist()], tips)
     shared = np.array([len(fused.members[v]) > 1 for v in part.vertices.tolist()], bool)
-    for which, ink, pens, key in (
-        (~shared, "single", MEDIUM, "junction seen by one run"),
-        (shared, "ink", LARGE, "junction seen by several runs"),
-    ):
-        rows = part.vertices[which & ~turned]
-        tips = [_describe_junction(fused, v) for v in rows.tolist()] if detailed else []
-        surface.dots(apply(T, fused.xy[rows]), Look(theme[ink], pens, tips=tips, key=key))
+    marker_of = [ROOM_MARKERS.get(kind, "circle") for kind in kinds]
+    for what, marker in (("junction", "circle"), *ROOM_MARKERS.items()):
+        own = ~turned & np.array([marker == mark for mark in marker_of], bool)
+        for which, ink, pens, by in (
+            (~shared, "single", MEDIUM, "one run"),
+            (shared, "ink", LARGE, "several runs"),
+        ):
+            rows = part.vertices[which & own]
+            tips = [_describe_junction(fused, v) for v in rows.tolist()] if detailed else []
+            look = Look(theme[ink], pens, tips=tips, key=f"{what} seen by {by}", marker=marker)
+            surface.dots(apply(T, fused.xy[rows]), look)
     _rings(surface, part, drives or (), changes)
     if detailed:
         draw_frame(surface, part.cell)

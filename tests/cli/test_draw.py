@@ -78,6 +78,16 @@ def test_a_report_tells_of_a_broken_map_and_goes_on(topobatch, merged) -> None:
     assert b in html
 
 
+def test_a_report_of_one_run_lists_the_branches_that_next_lists(topobatch, merged) -> None:
+    topobatch("merge", "run1", "--output", "one", "-w", merged)
+    *_, line, _ = topobatch("next", "--merge", "one", "-w", merged).out.splitlines()
+    assert "junction" in line
+    topobatch("report", "--merge", "one", "-w", merged)
+    page = (merged / "report.html").read_text()
+    assert f"<p>{line.strip()}</p>" in page
+    assert page.count(">Runs</a>") == 1
+
+
 def test_a_report_before_the_first_merge(topobatch, workspace) -> None:
     assert topobatch("report", "-w", workspace).code == 0
     assert "not merged yet" in (workspace / "report.html").read_text()

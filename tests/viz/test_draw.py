@@ -40,6 +40,23 @@ def test_a_map_shows_and_tells_its_junctions_and_corridors(make_map, theme) -> N
     assert any(t.endswith(" m") and t[0].isdigit() for t in texts)  # the scale
 
 
+def test_the_axes_of_the_frame_are_drawn_wherever_its_origin_lies(make_map) -> None:
+    for away_m, key in ((1.0, "axes of the frame, at its origin"), (99.0, "out of sight")):
+        texts, _ = seen(draw_map(make_map("run", (-away_m, -1.0, 0.3)), LIGHT))
+        assert {"x", "y"} <= set(texts)
+        assert any(key in text for text in texts)
+
+
+def test_rooms_and_doors_have_marks_and_names_of_their_own(make_map, merge_of) -> None:
+    kind = ("room", "door", "junction", "bend", "dead_end")
+    texts, _ = seen(draw_map(replace(make_map("run"), kind=kind), LIGHT))
+    assert {"room", "door", "3 branches", "bend", "dead end"} <= set(texts)
+    result, _ = merge_of([["a", "b"]])
+    home = replace(result, fused=replace(result.fused, kind=kind))
+    texts, _ = seen(draw_merged(home, LIGHT))
+    assert {f"{what} seen by several runs" for what in ("room", "door", "junction")} <= set(texts)
+
+
 def test_maps_of_nothing_and_of_one_junction_can_be_drawn(empty_map, one_vertex) -> None:
     texts, _ = seen(draw_map(empty_map, LIGHT))
     assert "0 junctions, 0 corridors, 0 m; 0 passes" in texts
@@ -77,6 +94,9 @@ def test_where_numbers_have_no_room_pointing_tells_them(merge_of, monkeypatch) -
     }
     assert any("point at one" in text for text in texts)
     assert "5" not in texts
+    texts, _ = seen(draw_merged(merge_of([["a"], ["b", "c"]])[0], LIGHT, sites=[0, 1], drives=[]))
+    assert {"0", "5"} <= set(texts)  # have branches that nobody drove
+    assert "4" not in texts
 
 
 def test_walls_lie_under_the_map_where_views_show_them(make_map, merge_of) -> None:

@@ -22,7 +22,8 @@ EVERY = np.repeat(np.arange(5), 2).reshape(-1, 2)
 def placement(bits: float, matched: np.ndarray = EVERY) -> Placement:
     terms = (
         Term("corridor", bits - 1.0, "corridor", (0, 1), (0, 1), (10.0, 10.1)),
-        Term("unseen", -2.0, "junction unseen in a corridor", (2, 3), (4,)),
+        Term("corridor", -0.1, "common length", (1, 2), (1, 2), (6.0, 6.2)),
+        Term("unseen", -1.9, "junction unseen in a corridor", (2, 3), (4,)),
         Term("elsewhere", -1.0, "corridors that lead elsewhere", (0, 1), (2, 3)),
         *(Term("branches", 1.0, "3 and 3 branches", (v,), (v,)) for v in range(len(matched))),
         Term("hypotheses", 4.0 - len(matched), "chosen from 3"),
@@ -48,7 +49,8 @@ def test_a_merged_pair_is_tied_junction_by_junction(make_map) -> None:
     assert "placement: 30.0 bits" not in texts  # the only picture
     assert {f"junction {k} = junction {k}" for k in range(5)} <= set(titles)
     assert "+29.0 bits: corridor" in titles
-    assert "-2.0 bits: junction unseen in a corridor" in titles
+    assert "-1.9 bits: junction unseen in a corridor" in titles
+    assert "link that says little" in texts
     assert {"matched junctions, tied", "link that speaks for it", "what speaks against it"} <= set(
         texts
     )
@@ -61,11 +63,24 @@ def test_an_ambiguous_pair_shows_both_placements(make_map) -> None:
     assert {"placement: 9.0 bits", "next best: 8.0 bits"} <= set(texts)
 
 
-def test_junctions_that_are_not_matched_have_numbers_too(make_map) -> None:
-    """Those of a once, and those of b that a does not stand for; advice names them."""
-    told = decision(Verdict.AMBIGUOUS, [placement(9.0, EVERY[:3]), placement(8.0, EVERY[:3])])
-    texts, _ = seen(draw_decision(make_map("a"), make_map("b", (1.0, 2.0, 0.4)), told, LIGHT))
-    assert [texts.count(str(k)) for k in range(5)] == [2, 2, 2, 4, 4]  # on two pictures
+def test_junctions_of_either_run_are_numbered_and_what_to_record_is_shown(
+    make_map, monkeypatch
+) -> None:
+    """In the colours of their runs; of large maps those that the advice names, and matched ones."""
+    told = decision(Verdict.AMBIGUOUS, [placement(9.0, EVERY[:2]), placement(8.0, EVERY[:2])])
+    said = "record with a/1's robot the corridor that b drove from its junction 2 to 4 (6.0 m): so"
+    told = replace(told, pair=replace(told.pair, advice=said))
+    a, b = make_map("a/1"), make_map("b", (1.0, 2.0, 0.4))
+    canvas = draw_decision(a, b, told, LIGHT)
+    texts, _ = seen(canvas)
+    assert [texts.count(str(k)) for k in range(5)] == [4] * 5  # two runs on two pictures
+    written = [text.partition(">")[0] for text in canvas.as_bytes("svg").decode().split("<text ")]
+    for rank in (0, 1):
+        assert sum(f"fill: {LIGHT.run(rank)}" in text for text in written) == 10
+    assert "corridor to record" in texts
+    monkeypatch.setattr("topobatch.viz.draw_pair.MOST_NUMBERED", 4)
+    texts, _ = seen(draw_decision(a, b, told, LIGHT))
+    assert [texts.count(str(k)) for k in range(5)] == [4, 4, 2, 0, 2]
 
 
 def compared(kind: int) -> Compared:
@@ -90,6 +105,7 @@ def test_views_that_speak_most_for_and_against_are_laid_over_each_other(make_map
     canvas = draw_decision(a, b, shown, LIGHT)
     texts, _ = seen(canvas)
     assert {"views for it: +3.0 bits", "views against it: -2.5 bits"} <= set(texts)
+    assert "walls that contradict each other" in texts
     svg = canvas.as_bytes("svg").decode()
     assert LIGHT.pale(LIGHT.run(0)) in svg  # walls of a that say nothing
     texts, _ = seen(draw_decision(a, b, decision(Verdict.MERGED, [placement(30.0)]), LIGHT))

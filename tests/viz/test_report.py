@@ -200,9 +200,21 @@ def test_a_site_has_layers_and_says_what_is_clicked(merge_of) -> None:
     assert "data-site-1" not in page.scripts  # it stands alone: its run's own map is there
 
 
+def test_changes_are_numbered_throughout_all_sites(merge_of) -> None:
+    result, maps = merge_of([["a", "b"], ["c", "d"]])
+    html = page_of(named(result), maps, changes=[change(component=1), change()])
+    found = re.findall(r'<li value="(\d)">Gone: .* of site (\d)', html)
+    assert found == [("1", "0"), ("2", "1")]
+    numbers, *_ = Page(html).sources("site-1")["numbers"]
+    assert numbers["text"] == ["2"]
+
+
 def test_every_pair_is_in_the_page_with_its_reason(merge_of) -> None:
     result, maps = merge_of([["a", "b"], ["c"]], [("b", "c")])
     pair = next(v for v in result.verdicts if v.standing is Standing.AMBIGUOUS)
+    said = "record with b's robot the corridor that c drove from its junction 0 to 1 (10.0 m): go"
+    pair = replace(pair, advice=said)
+    result = replace(result, verdicts=[pair if v.b + v.a == "cb" else v for v in result.verdicts])
     data = Page(page_of(result, maps, decisions={("b", "c"): decision(pair)})).data
     assert [run["name"] for run in data["runs"]] == ["a", "b", "c"]
     told = {
@@ -224,7 +236,9 @@ def test_every_pair_is_in_the_page_with_its_reason(merge_of) -> None:
     assert url.startswith("data:image/png;base64,")
     assert any(row[1:4] == ["corridor: 10.00 m, 10.10 m", "0-1", "0-1"] for row in shown["rows"])
     assert "Note: merge again" in shown["lines"]
-    assert any("To settle it: go on" in line for line in shown["lines"])
+    assert any(f"To settle it: {said}" in line for line in shown["lines"])
+    side, ends, (xs, _) = shown["record"]
+    assert (side, ends, len(xs)) == (1, [0, 1], 1)
     assert any(
         line.startswith("12.6 bits needed: log2(6 pairs / rate 0.001)") for line in shown["lines"]
     )
@@ -256,7 +270,9 @@ def test_the_time_line_says_which_maps_it_lacks(merge_of) -> None:
     result, (first, *others) = merge_of([["a", "b"], ["c"]])
     none = np.zeros(0, np.int64)
     grid = replace(first, observation_time_ns=none, observation_vertex=none)
-    assert "Without a time: 1 saved map." in Page(page_of(result, [grid, *others])).text
+    told = Page(page_of(result, [grid, *others])).text
+    assert "Without a time: 1 saved map." in told
+    assert told.count("°/√m") == 2  # nor has it any noise
     assert "Without a time" not in Page(page_of(result, [first, *others])).text
 
 

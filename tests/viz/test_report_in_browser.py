@@ -121,6 +121,11 @@ def test_a_map_is_clicked_moved_zoomed_and_its_layers_switched(opened, html, tmp
     )
     page.mouse.click(*at(page, MAP, *place))
     shows(page, ".site .about", "Junction 2:")
+    shown = page.evaluate(
+        """async () => (await plots.get(document.querySelector('.site .map'))).renderers
+        .filter(r => r.glyph.text).flatMap(r => r.data_source.data.text)"""
+    )
+    assert {"drive 1", "0"} <= set(shown)  # it begins at junction 0
     page.locator(".site .find").first.fill("4")
     page.keyboard.press("Enter")
     shows(page, ".site .about", "Junction 4 (dead end):")
@@ -138,7 +143,15 @@ def test_a_map_is_clicked_moved_zoomed_and_its_layers_switched(opened, html, tmp
     page.keyboard.up("Control")
     assert page.locator(MAP).first.evaluate(WIDTH) < wide
     before, _ = picture(page, MAP, tmp_path)
-    for layer in page.locator(".site").first.locator(".layers input").all():
+    layers = page.locator(".site").first.locator(".layers input").all()
+    marks = page.locator(".site").first.locator(".layers i").all()
+    assert {mark.get_attribute("data-mark") for mark in marks} == {"line", "circle"}
+    layers[0].uncheck()
+    page.emulate_media(media="print")  # the key is printed, of what is shown
+    assert page.locator(".site .layers label:visible").count() == len(layers) - 1
+    assert page.locator(":is(.zoom, .find, .hint):visible").count() == 0
+    page.emulate_media(media="screen")
+    for layer in layers:
         layer.uncheck()
     assert told.text_content()
     assert picture(page, MAP, tmp_path)[0] < before

@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from topobatch.merge.decision_text import to_record
+from topobatch.merge.result import PairVerdict, Verdict
 from topobatch.merge.robust.alignment import match
 from topobatch.merge.robust.entries import advice
 from topobatch.merge.robust.prepare import prepare
@@ -24,3 +26,5 @@ def test_the_corridor_that_one_run_left_out_is_named(drawn):
         "record with b's robot the corridor that a drove from its junction 0 to 9 (9.0 m)" in told
     )
     assert "it leaves junction 0 of b" in told
+    pair = PairVerdict("a", "b", Verdict.AMBIGUOUS, False, 0.0, "", advice=told)
+    assert to_record(pair) == ("a", (0, 9))
