@@ -180,7 +180,11 @@ def _steps(
     close: Callable[[DeadReckoning], Closed],
     open_: BoolArray,
 ) -> dict[int, _Step]:
-    """The steps measured at the open jumps, by row: the first one in every leg."""
+    """The motion over jumps as measured in one case, by odometry row, where places determine it.
+
+    Legs with an open jump have at most one, at their first jump. open_: (j,) jumps to measure;
+    reckoning_of, close: as in `bridged`.
+    """
     reckoning = reckoning_of(case)
     leg = _legs(case, reckoning)
     closed = close(reckoning)

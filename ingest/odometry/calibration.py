@@ -145,7 +145,7 @@ def calibrate(odometry: Odometry, detections: Detections) -> Calibration:
 
 
 def _floor(odometry: Odometry) -> FloatArray:
-    """(3,) lower bounds of the sigmas."""
+    """(3,) least sigmas of bias [rad/m], scale of turns and lag [s], added in quadrature."""
     spacing_s = float(np.median(np.diff(odometry.time_ns))) * 1e-9
     return np.array(
         [

@@ -136,6 +136,7 @@ def disagreements(
 
 
 def _turned_branches(seen: DriveBys, junction_topic: str) -> Iterator[str]:
+    """One sentence, if branches all turned by one angle fit the robot's motion far better."""
     squares = seen.off_the_way(TURNS_RAD)
     best = int(np.argmin([_size(s) for s in squares]))
     if _wins(squares[best], squares[0]):
@@ -186,7 +187,8 @@ def _size(squares: FloatArray) -> float:
 
 
 def _wins(squares: FloatArray, others: FloatArray) -> bool:
-    """Whether residuals are far smaller than others in significantly many drive-bys."""
+    """Whether `squares` are far smaller than `others` in significantly many drive-bys (sign test).
+    Both: (k,) sum of squared residuals of each drive-by."""
     kinds = (CONVENTIONS.left, 0.5), (CONVENTIONS.half, CONVENTIONS.half_chance)
     return any(
         _significant(

@@ -132,17 +132,19 @@ def heading_evidence(
 
 
 def _within(observed: _Observed, branch: IntArray, y: FloatArray, a: FloatArray) -> Rows:
-    """Readings relative to the mean of their branch, averaged over `PARTS` intervals of time."""
+    """Rows of kind *pass*: y and a averaged over `PARTS` equal parts of each branch's readings.
+
+    branch: (m,) of each reading; y, a: heading and regressors minus their means over the branch.
+    """
     order = np.argsort(branch, kind="stable")
     n = np.bincount(branch, minlength=len(observed.heading))
-    owner = branch[order]
-    first = np.concatenate([[0], np.cumsum(n)])[owner]
-    part = (np.arange(len(owner)) - first) * PARTS // np.maximum(n[owner], PARTS)
+    owner, nth = numbered(n)
+    part = nth * PARTS // np.maximum(n[owner], PARTS)
     group = np.cumsum(np.diff(owner * PARTS + part, prepend=-1) != 0) - 1
     size = np.bincount(group)
     mean = [_mean(group, column[order], size) for column in (y, *a.T)]
-    home = owner[np.flatnonzero(np.diff(group, prepend=-1))]
-    return Rows(mean[0], np.column_stack(mean[1:]), home, size / n[home], observed.owner[home])
+    owner = owner[np.flatnonzero(np.diff(group, prepend=-1))]
+    return Rows(mean[0], np.column_stack(mean[1:]), owner, size / n[owner], observed.owner[owner])
 
 
 def _regressors(odometry: Odometry, time_ns: IntArray) -> FloatArray:
@@ -215,8 +217,8 @@ def pass_at(passes: Passes, time_ns: IntArray) -> IntArray:
 def _interpolated(odometry: Odometry, time_ns: IntArray) -> FloatArray:
     """(m,) angle turned [rad] between each time and the nearer one of the rows around it.
 
-    Motion between two rows is unknown: a turn within one second is not uniform, and taking it for
-    uniform observed like a wrong scale of turns.
+    Motion between two rows is unknown: a turn within one second is not uniform. Taken for uniform,
+    it would look like a wrong scale of turns.
     """
     after = np.clip(np.searchsorted(odometry.time_ns, time_ns), 1, len(odometry) - 1)
     t0, t1 = odometry.time_ns[after - 1], odometry.time_ns[after]
@@ -225,6 +227,7 @@ def _interpolated(odometry: Odometry, time_ns: IntArray) -> FloatArray:
 
 
 def _mean(group: IntArray, values: FloatArray, n: IntArray) -> FloatArray:
+    """(g,) mean of `values` by group, 0 for empty ones; n: (g,) size of each group."""
     return np.asarray(np.bincount(group, values, len(n)) / np.maximum(n, 1))
 
 

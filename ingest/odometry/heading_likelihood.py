@@ -80,6 +80,7 @@ class _Scatter:
         return -float(value.sum()), r, weight * (nu + 1) / (nu + ratio)
 
     def refit(self, r: FloatArray, weight: FloatArray) -> _Scatter:
+        """Maximum-a-posteriori scale, with a prior worth two readings of half of `_USUAL_RAD`."""
         total = self.worth * float(self.rows.share.sum())
         sigma = np.sqrt((float((weight * r**2).sum()) + 2 * (0.5 * _USUAL_RAD) ** 2) / (total + 2))
         return _Scatter(self.rows, self.worth, float(max(sigma, 0.005)))
@@ -129,9 +130,10 @@ class HeadingLikelihood:
         return np.asarray(self.scores(x).sum(axis=0) - belief)
 
     def improve(self, x: FloatArray, free: BoolArray) -> tuple[HeadingLikelihood, FloatArray]:
-        """One step of expectation maximisation: scales, shares, and the `free` components of x."""
-        belief = 1.0 / np.square(self.prior_sigma)
-        gradient, curvature = -belief * (x - self.centre), np.diag(belief)
+        """One step of expectation maximisation: the likelihood with new scales and shares, and x
+        (3,) with its `free` components moved."""
+        precision = 1.0 / np.square(self.prior_sigma)
+        gradient, curvature = -precision * (x - self.centre), np.diag(precision)
         expected = [part.expect(x)[1:] for part in self.parts]
         parts = tuple(part.refit(*each) for part, each in zip(self.parts, expected, strict=True))
         for part, (r, weight) in zip(parts, expected, strict=True):

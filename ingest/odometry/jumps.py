@@ -217,8 +217,8 @@ def _near(
 def _expected(
     time_ns: IntArray, pose: FloatArray, leaps: BoolArray, rows: IntArray, usual: _Usual
 ) -> FloatArray:
-    """(k, 3) motion of steps as predicted by the nearest regular steps before and after, per
-    second."""
+    """(k, 3) motion [m, m, rad] of the steps that begin at rows, at the mean speed of the nearest
+    regular steps before and after. A gap counts as at most two usual periods."""
     good = np.flatnonzero(~leaps)
     if len(good) == 0:
         return np.zeros((len(rows), 3))

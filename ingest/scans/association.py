@@ -52,16 +52,17 @@ class Swept:
         on = surfaces(xy, increment)
         each = max(int(POINT_RAD / increment.max(initial=1e-3)), 1)
         x, y = (np.where(on.valid, xy[..., k], np.float32(0)) for k in (0, 1))
-        x, y, nx, ny = (_every(values, each) for values in (x, y, on.nx, on.ny))
-        points = Surfaces(x, y, nx, ny, _every(on.valid, each))
+        x, y, nx, ny = (_interleaved(values, each) for values in (x, y, on.nx, on.ny))
+        points = Surfaces(x, y, nx, ny, _interleaved(on.valid, each))
         at = _with_neighbours(on.valid)
         x, y, nx, ny = (values.take(at) for values in (on.x, on.y, on.nx, on.ny))
         lines = Surfaces(x, y, nx, ny, on.valid.take(at))
         return cls(frames.start, increment, xy.shape[1], each, points, lines, frames.beams)
 
 
-def _every(values: Any, each: int) -> Any:
-    """Columns j, j + each, … of (k, m) for every j, as rows (each k, ceil(m / each))."""
+def _interleaved(values: Any, each: int) -> Any:
+    """Rows (k, m) split into `each` rows of every `each`-th column, padded by 0: row `each` i + j
+    of the result (each k, ceil(m / each)) has columns j, j + each, … of row i."""
     k, m = values.shape
     padded = np.pad(values, ((0, 0), (0, -m % each)))
     return np.ascontiguousarray(padded.reshape(k, -1, each).swapaxes(1, 2)).reshape(k * each, -1)

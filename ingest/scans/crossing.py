@@ -73,10 +73,10 @@ class BendTally:
 def placed(
     graph: SkeletonGraph, nodes: Sequence[Node], tally: BendTally | None = None
 ) -> list[Node]:
-    """Nodes of a graph, each at the crossing of the axes of its branches.
+    """Nodes of a graph, each moved to where the axes of its branches cross.
 
-    tally: of the axes seen before, updated, None if there is none. Vectorised over the nodes of
-    one degree.
+    tally: share of this run's axes that bend, as known so far; it is updated in place. None: a new
+    one. Vectorised over the nodes of one degree.
     """
     tally = BendTally() if tally is None else tally
     usual, out = tally.usual, list(nodes)
@@ -329,11 +329,11 @@ def _bend(
 
 
 def _centres(forks: _Forks, bearings: FloatArray, axes: _Axes) -> tuple[FloatArray, list[float]]:
-    """(n, 2) maximum-likelihood positions of forks from the axes and the forks themselves, within
-    their discs; 1 sigma of each coordinate [m].
+    """(n, 2) maximum-likelihood centres of junctions from their axes and forks, at most one
+    clearance from the fork, or at it with fewer than two axes; (n,) 1 sigma per coordinate [m].
 
-    Forks deviate more than expected at rounded corners and niches: a fork has a Cauchy kernel, so
-    that axes that agree on another point win.
+    Forks deviate more than expected at rounded corners and niches. They get a Cauchy kernel, so
+    that axes which agree on another point win. bearings: (n, b) of the branches [rad].
     """
     n = len(forks.xy)
 
@@ -343,8 +343,8 @@ def _centres(forks: _Forks, bearings: FloatArray, axes: _Axes) -> tuple[FloatArr
         np.add.at(out, axes.fork, values)
         return out
 
-    beside = aside(bearings) * forks.clearance_m[:, None, None] ** 2
-    by_fork = np.linalg.inv(beside)
+    fork_covariance = aside(bearings) * forks.clearance_m[:, None, None] ** 2
+    fork_information = np.linalg.inv(fork_covariance)
     normal, bend, kernel = axes.normal, axes.bend, np.ones(n)
     xy = forks.xy
     on_axis, outer = np.sum(normal * axes.middle, axis=1), normal[:, :, None] * normal[:, None]
@@ -356,16 +356,16 @@ def _centres(forks: _Forks, bearings: FloatArray, axes: _Axes) -> tuple[FloatArr
         weight = 1 / (
             axes.variance + axes.turn_variance * along * along + bend.variance * bow * bow
         )
-        prior = kernel[:, None, None] * by_fork
+        prior = kernel[:, None, None] * fork_information
         information = prior + total(weight[:, None, None] * outer)
-        right = prior @ forks.xy[:, :, None]
-        right[:, :, 0] += total((weight * (on_axis + bend.bent * bow))[:, None] * normal)
-        xy = np.asarray(np.linalg.solve(information, right)[:, :, 0], np.float64)
+        rhs = prior @ forks.xy[:, :, None]
+        rhs[:, :, 0] += total((weight * (on_axis + bend.bent * bow))[:, None] * normal)
+        xy = np.asarray(np.linalg.solve(information, rhs)[:, :, 0], np.float64)
         moved = xy - forks.xy
-        kernel = 1 / (1 + np.einsum("ni,nij,nj->n", moved, by_fork, moved))
+        kernel = 1 / (1 + np.einsum("ni,nij,nj->n", moved, fork_information, moved))
     far = np.maximum(np.hypot(*moved.T) / forks.clearance_m, 1.0)
     crossed = np.bincount(axes.fork, minlength=n) >= 2
-    covariance = np.where(crossed[:, None, None], np.linalg.inv(information), beside)
+    covariance = np.where(crossed[:, None, None], np.linalg.inv(information), fork_covariance)
     sigma_m = np.sqrt(0.5 * np.trace(covariance, axis1=1, axis2=2))
     return forks.xy + np.where(crossed, 1 / far, 0.0)[:, None] * moved, sigma_m.tolist()
 

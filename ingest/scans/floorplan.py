@@ -255,8 +255,8 @@ def _axes(ground: Ground, settings: FloorplanSettings) -> tuple[_Axes, Lattice]:
 
 
 def _without_corners(lines: Lines, opening: BoolArray, cell_m: float) -> Lines:
-    """The lines, where those that fork in front of an opening into its two corners no longer count
-    as leading to the border: the line that forks leads on, not they."""
+    """The lines, with spurs left out of `border`: in front of an opening a line forks towards both
+    of its corners, but only the line itself leads on. opening: (h, w) cells."""
     columns, rows = np.rint(lines.fork_xy / cell_m).astype(np.int64).T
     in_front = opening[rows, columns]
     forks = lines.ends.max(axis=1)
@@ -350,8 +350,8 @@ def _end_of(way: Way, kind: Literal["dead_end", "frontier"]) -> Place:
 
 
 def _polyline(edge: Edge, nodes: Sequence[Node], cell_m: float) -> FloatArray | None:
-    """(k, 2) an edge from the centre of its first place to that of the other, or to its end; None
-    if it has neither, or nothing between."""
+    """(k, 2) points [m] of an edge, from the centre of its first node to that of the other, or to
+    the free end; None if it has no node, or one node and no cells."""
     source, target = edge.nodes
     if source < 0 or (len(edge.cells) == 0 and target < 0):
         return None
@@ -403,18 +403,18 @@ def _agreement(
 ) -> list[float]:
     """Share of the variants, including the first one, that have each place of the first: within the
     tolerance, with as many branches. shown: places of the others."""
-    own = _placed(places, settings)
+    own = _search_points(places, settings)
     agreeing = np.ones(len(own))
     for others in shown:
-        away, _ = cKDTree(_placed(others, settings)).query(own)
+        away, _ = cKDTree(_search_points(others, settings)).query(own)
         agreeing += away <= settings.agree_m
     shares: list[float] = (agreeing / (1 + len(shown))).tolist()
     return shares
 
 
-def _placed(places: Sequence[Node], settings: FloorplanSettings) -> FloatArray:
-    """(n, 3) x, y [m], and a coordinate that separates places with different numbers of
-    branches."""
+def _search_points(places: Sequence[Node], settings: FloorplanSettings) -> FloatArray:
+    """(n, 3) points for a k-d tree: x, y [m], and a coordinate that keeps places with different
+    numbers of branches farther apart than `agree_m`."""
     xy = np.array([place.xy for place in places]).reshape(-1, 2)
     branches = np.array([len(place.ends) for place in places])
     return np.column_stack([xy, 2 * settings.agree_m * branches])

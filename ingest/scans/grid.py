@@ -167,7 +167,8 @@ def gather(
 
 
 def free_space(window: Window, settings: GridSettings) -> BoolArray:
-    """(s, s) free cells: seen through or driven over, and not walls; islands are removed."""
+    """(s, s) free cells: seen through and no wall, or at most `strip_m` from the track; islands are
+    removed."""
     observed = window.hit + window.free
     wall = (window.hit >= settings.wall_hits) & (window.hit > settings.wall_share * observed)
     free = (window.free > 0) & ~wall

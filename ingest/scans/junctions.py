@@ -109,15 +109,14 @@ QUARTILE = 0.3186
 
 
 def _askew(turns: list[FloatArray], cell: float) -> float:
-    """1 sigma [rad] of the heading error that all passes by a place share, from the bends of
-    branches.
+    """1 sigma [rad] of the heading error that all passes by a junction share.
 
-    If a centre is off by d across a branch, a chord of length r is off by d / r, one of 2 r by half
-    of that: they differ by the other half. If the branch bends, a chord is off by its difference
-    from one twice as long. Twice the difference covers both. Estimated from the first quartile,
-    because half of the corridors between racks have a corner there. Both chords end at cells (cell:
-    their size divided by r); the rounding's part of the difference is subtracted, because it varies
-    from pass to pass (`branch_rad`).
+    turns: per junction, by how much the chords of length r and 2 r of its branches differ [rad],
+    NaN if unknown; cell: size of a cell, divided by r. A centre displaced by d turns the two chords
+    by d / r and half of that: the error is twice their difference. A bend of the branch causes an
+    error of about their difference. Twice the difference covers both. Its scale is taken from the
+    first quartile, as half of the corridors between racks have a corner within 2 r. The variance of
+    rounding to cells is subtracted, because it differs from pass to pass (`branch_rad`).
     """
     every = np.concatenate([np.zeros(0), *turns])
     bends = np.abs(every[np.isfinite(every)])

@@ -186,12 +186,12 @@ def raster(angles_rad: FloatArray, finest_rad: float) -> tuple[IntArray, float, 
 def _at_mid_sweep(
     xy: FloatArray, motion: FloatArray, share: FloatArray, mount: FloatArray
 ) -> FloatArray:
-    """Points measured at the share (m,) of the sweep, -1/2 to 1/2, in the laser's frame at its
-    middle."""
-    own = compose(compose(inverse(mount), motion), mount)[:, None, :] * share[:, None]
-    c, s = np.cos(own[..., 2]), np.sin(own[..., 2])
-    x = c * xy[..., 0] - s * xy[..., 1] + own[..., 0]
-    y = s * xy[..., 0] + c * xy[..., 1] + own[..., 1]
+    """Points (n, m, 2) of sweeps, moved to the laser's frame at mid-sweep. motion: (n, 3) of the
+    robot in a sweep; share: (m,) of it at each beam, -1/2 to 1/2; mount: (3,) T_body_laser."""
+    moved = compose(compose(inverse(mount), motion), mount)[:, None, :] * share[:, None]
+    c, s = np.cos(moved[..., 2]), np.sin(moved[..., 2])
+    x = c * xy[..., 0] - s * xy[..., 1] + moved[..., 0]
+    y = s * xy[..., 0] + c * xy[..., 1] + moved[..., 1]
     return np.stack([x, y], axis=-1)
 
 

@@ -68,22 +68,22 @@ class Matched(NamedTuple):
 
 
 def posed(odometry: Odometry, batches: Iterable[ScanBatch]) -> Iterator[Posed]:
-    """The robot's pose at every scan, by the odometry."""
+    """The scans with the robot's pose, motion in the sweep, and turning rate, by the odometry."""
     at = odometry.interpolator()
     for batch in batches:
         if len(batch) == 0:
             continue
         half = np.int64(0.5e9 * batch.sweep_s)
-        around = np.int64(1e8)
+        half_window = np.int64(1e8)
         t = batch.times_ns
-        turned = wrap(at(t + around)[:, 2] - at(t - around)[:, 2])
+        turned = wrap(at(t + half_window)[:, 2] - at(t - half_window)[:, 2])
         outside = np.int64(MATCHING.outside_s * 1e9)
         first, last = odometry.time_ns[[0, -1]] + np.array([-outside, outside])
         yield Posed(
             batch,
             at(t),
             between(at(t - half), at(t + half)),
-            turned / (2e-9 * around),
+            turned / (2e-9 * half_window),
             (t >= first) & (t <= last),
             piece_of(odometry, t),
         )

@@ -48,6 +48,7 @@ def mount_yaw(odometry: Odometry, batches: Iterable[ScanBatch]) -> float | None:
 
 
 def _first(batches: Iterable[ScanBatch]) -> Iterator[ScanBatch]:
+    """The first batches, until they hold `MOST_SCANS` scans."""
     scans = 0
     for batch in batches:
         yield batch

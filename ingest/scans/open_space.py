@@ -54,8 +54,8 @@ class Lattice:
     the first one [m]; shape: number of rows and columns. All from the centre of the grid's first
     cell.
 
-    Where a skeleton lies in a hall depends on how its walls are turned against the cells. Against
-    those of a lattice along the walls they are turned alike in every map of a building.
+    The skeleton of a hall depends on the angle between its walls and the cells. In a lattice along
+    the walls that angle is the same in every map of a building.
     """
 
     yaw: float

@@ -109,27 +109,29 @@ def coincident(
 def _candidates(
     pool: Pool, label: IntArray, pose: FloatArray, around: _Surroundings
 ) -> list[tuple[int, int, float]]:
-    """Pairs of rows, one of each place, with the distance of their places [m]: places that share no
-    run, are each other's nearest by a margin, and whose branches fit."""
-    visits = pass_counts(pool)
-    by_passes = np.lexsort((np.arange(len(pool)), -visits, label))
-    first = np.searchsorted(label[by_passes], np.arange(int(label.max(initial=-1)) + 1))
-    shown = by_passes[first]
-    if len(shown) < 2:
+    """Pairs of places that share no run, are each other's nearest by a margin, and whose branches
+    fit, nearest first: for both the row with most passes, and their distance [m].
+
+    label: (n,) place of each row; pose: (n, 3).
+    """
+    by_passes = np.lexsort((-pass_counts(pool), label))
+    most_passed = by_passes[np.unique(label[by_passes], return_index=True)[1]]
+    if len(most_passed) < 2:
         return []
-    weight = np.bincount(label)
-    centre = np.stack([np.bincount(label, pose[:, k]) / weight for k in (0, 1)], axis=-1)
+    size = np.bincount(label)
+    centre = np.stack([np.bincount(label, pose[:, k]) / size for k in (0, 1)], axis=-1)
     pairs = cKDTree(centre).query_pairs(
         COINCIDENCE.gate_m * COINCIDENCE.lead, output_type="ndarray"
     )
     runs = _runs_of(pool, label)
     disjoint = np.array([runs[i].isdisjoint(runs[j]) for i, j in pairs.tolist()], bool)
-    u, v = pairs[disjoint].T if len(pairs) else (np.zeros(0, np.int64),) * 2
+    u, v = pairs[disjoint].T
     distance = np.hypot(*(centre[u] - centre[v]).T)
     is_clear = _clearly_nearest(u, v, distance, len(centre), COINCIDENCE.lead)
     chosen = np.flatnonzero(is_clear & (distance <= COINCIDENCE.gate_m))
     order = chosen[np.lexsort((v[chosen], u[chosen], distance[chosen]))]
-    rows = [(int(shown[u[k]]), int(shown[v[k]]), float(distance[k])) for k in order]
+    one, other = most_passed[u[order]].tolist(), most_passed[v[order]].tolist()
+    rows = zip(one, other, distance[order].tolist(), strict=True)
     return [(r, s, d) for r, s, d in rows if _branches_fit(around, r, s)]
 
 

@@ -39,7 +39,7 @@ def split_at_places(corridors: list[Corridor]) -> list[Corridor]:
 
 def _replaced_once(corridors: Sequence[Corridor]) -> list[Corridor]:
     """One round, shortest corridors first. New parts of others wait for the next round."""
-    ways_from = _by_branch(corridors)
+    ways_from = _leaving(corridors)
     replaced: set[int] = set()
     longer: dict[int, list[Corridor]] = {}
     for row in sorted(range(len(corridors)), key=lambda k: (corridors[k].length, k)):
@@ -77,8 +77,8 @@ Leaving = Mapping[int, Sequence[tuple[int, _Way]]]
 """For every place its corridors: (branch, way)."""
 
 
-def _by_branch(corridors: Sequence[Corridor]) -> Leaving:
-    """The corridors at each place, in both directions."""
+def _leaving(corridors: Sequence[Corridor]) -> Leaving:
+    """The corridors that leave each place, in both directions."""
     ways: dict[int, list[tuple[int, _Way]]] = {}
     for k, c in enumerate(corridors):
         ways.setdefault(c.u, []).append((c.branch_u, _Way(k, c.v, c.branch_v)))
@@ -109,7 +109,8 @@ def _chain(row: int, corridors: Sequence[Corridor], ways_from: Leaving) -> tuple
 def _chains(
     c: Corridor, row: int, corridors: Sequence[Corridor], ways_from: Leaving
 ) -> Iterator[tuple[int, ...]]:
-    """All chains of other corridors from end to end of a corridor, by its branches there."""
+    """Chains of two or more other corridors between the ends of corridor c, number `row`, by its
+    branches there: through at most `PASSAGE.deepest` places, and little longer than c."""
     longest = 1.2 * c.length + 1.0
     stack: list[tuple[int, int | None, float, tuple[int, ...]]] = [(c.u, None, 0.0, ())]
     while stack:

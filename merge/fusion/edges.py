@@ -134,9 +134,9 @@ def oriented(c: Corridor) -> Corridor:
 
 
 def fuse_corridors(corridors: Iterable[Corridor]) -> list[Corridor]:
-    """Fuse corridors between the same places that have the same branches and agree in length.
+    """Fuse corridors between the same places that are one by `same_corridor`.
 
-    A corridor with an unknown branch is fused with the fitting one nearest in length.
+    Each joins the fitting bundle nearest in length, those with unknown branches last.
     """
     ordered = sorted(corridors, key=_order)
     bundles_of: dict[tuple[int, int], list[list[Corridor]]] = {}
@@ -173,10 +173,12 @@ def same_corridor(bundle: list[Corridor], c: Corridor) -> bool:
 
 
 def _weights(bundle: list[Corridor]) -> FloatArray:
+    """(k,) inverse variances of the lengths [1/m²]."""
     return np.array([c.sigma for c in bundle]) ** -2.0
 
 
 def _mean_length(bundle: list[Corridor]) -> float:
+    """Mean length [m], weighted by inverse variance (§4)."""
     w = _weights(bundle)
     return float(w @ np.array([c.length for c in bundle]) / w.sum())
 

@@ -116,15 +116,15 @@ def component_digest(
 def fuse_component(
     maps: Sequence[TopoMap], inside: Sequence[PairVerdict], *, sigmas: bool = False
 ) -> Fused:
-    """Fuse one component, in the frame of its first map. inside: accepted verdicts between its
-    runs, which connect them."""
+    """Fuse one component, in the frame of its first map. inside: accepted verdicts that connect its
+    runs; sigmas: whether to compute the uncertainties of positions and lengths."""
     pool = Pool.of(maps)
     groups = matched_groups(pool, inside)
     joint = _fuse_coincident(pool, groups, run_poses(list(pool.first), inside), inside)
     label = groups.labels()
     xy = _place_positions(pool, label, joint.pose)
     places = fused_places(pool, label, joint.pose)
-    corridors = corridors_of(pool, label, joint.pose, xy, fused_branches(places, len(pool)))
+    corridors = corridors_of(pool, label, joint.pose, xy, fused_branches(places))
     if len(pool.maps) > 1:
         corridors = split_at_places(fuse_corridors(corridors))
     component = Component(0, fitted_poses(pool, joint.pose))
@@ -211,8 +211,8 @@ def _fused_map(
 
 
 def _concatenated(parts: Sequence[FusedMap]) -> FusedMap:
-    """All components concatenated into one FusedMap, with consecutive vertex numbers; sigmas are
-    NaN for components without, and None if none has any."""
+    """All components in one FusedMap, with consecutive vertex numbers. `position_sigma` is NaN for
+    components without it, and None if no component has it."""
     if any(p.position_sigma is not None for p in parts):
         parts = [
             replace(p, position_sigma=np.full(len(p), np.nan)) if p.position_sigma is None else p

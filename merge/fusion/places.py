@@ -65,13 +65,10 @@ def fused_places(pool: Pool, label: IntArray, pose: FloatArray) -> list[Place]:
     return places
 
 
-def fused_branches(places: Sequence[Place], rows: int) -> list[IntArray]:
-    """For each of the rows of a pool the fused branch of each of its branches, as in `Place`."""
-    fused = [np.zeros(0, np.int64)] * rows
-    for place in places:
-        for row, branches in place.branch_of.items():
-            fused[row] = branches
-    return fused
+def fused_branches(places: Sequence[Place]) -> list[IntArray]:
+    """`Place.branch_of` of all places, as a list by row of the pool."""
+    branch_of = {row: fused for place in places for row, fused in place.branch_of.items()}
+    return [branch_of[row] for row in range(len(branch_of))]
 
 
 def _driven(pool: Pool) -> list[set[int]]:

@@ -68,10 +68,8 @@ class Groups:
 
     def labels(self) -> IntArray:
         """(n,) group of each row, groups numbered by their first rows."""
-        heads = np.array(self._head, np.int64)
-        first = np.full(len(heads), len(heads), np.int64)
-        np.minimum.at(first, heads, np.arange(len(heads)))
-        return np.unique(first[heads], return_inverse=True)[1].astype(np.int64)
+        heads = np.array(self._head, np.int64)  # each the first row of its group
+        return np.unique(heads, return_inverse=True)[1].astype(np.int64)
 
 
 def matched_groups(pool: Pool, verdicts: Iterable[PairVerdict]) -> Groups:

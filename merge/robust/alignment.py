@@ -381,8 +381,8 @@ def _alike(poses: FloatArray, others: FloatArray) -> bool:
 def _proposed_by_views(
     a: Prepared, b: Prepared, proposed: Sequence[FloatArray], settings: RobustSettings
 ) -> list[tuple[Candidate, FloatArray, Overlap]]:
-    """The candidates at proposed placements (3,), corrected twice; with the poses (n, 3) of the
-    views of b by each, and their overlap before the last correction."""
+    """The candidates at placements T_a_b (3,), each corrected twice by registration of views; with
+    each the poses (n, 3) of b's views in a, and the overlap before the last correction."""
     seen_a, seen_b = pictured(a.views), pictured(b.views)
     found: list[Overlap] = []
     for _ in range(2):

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from ...topology.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from ...topology.columns import joined
+from ...topology.ragged import numbered
 from .prepare import CorridorsByEnds, Prepared
 
 OF_VERTICES = ("z", "count", "observations", "fault_rate", "descriptor", "confidence")
@@ -66,17 +67,17 @@ class Atlas:
 
     @cached_property
     def centre_m(self) -> FloatArray:
-        """(m,) of the maps' noise."""
+        """(m,) `RunNoise.centre_m` of each map [m]."""
         return np.array([m.noise.centre_m for m in self.maps])
 
     @cached_property
     def miss_rate(self) -> FloatArray:
-        """(m,) of the maps' noise."""
+        """(m,) `RunNoise.miss_rate` of each map."""
         return np.array([m.noise.miss_rate for m in self.maps])
 
     @cached_property
     def phantom_rate(self) -> FloatArray:
-        """(m,) of the maps' noise."""
+        """(m,) `RunNoise.phantom_rate` of each map."""
         return np.array([m.noise.phantom_rate for m in self.maps])
 
 
@@ -176,12 +177,10 @@ class Lanes:
         return Lanes.of(self.a, self.b, self.of_a[lanes], self.of_b[lanes])
 
     def rows_of(self, first: IntArray) -> tuple[IntArray, IntArray]:
-        """Lane and index of all items of one kind (points, corridors) in the second maps. first:
-        first item of each map in the atlas."""
-        size = np.diff(first)[self.of_b]
-        lane = np.arange(len(size)).repeat(size)
-        start = first[self.of_b] - np.cumsum(size) + size
-        return lane, np.arange(len(lane)) + start[lane]
+        """(k,) each: lane and row in `b` of all points, or corridors, of the lanes' second maps.
+        first: `b.point` or `b.corridor`."""
+        lane, nth = numbered(np.diff(first)[self.of_b])
+        return lane, first[self.of_b[lane]] + nth
 
     def nearest(
         self,

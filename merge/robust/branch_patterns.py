@@ -31,11 +31,11 @@ def branch_offsets(
 
 
 def sector_masks(offset: FloatArray) -> tuple[IntArray, IntArray]:
-    """Masks of the sectors that branches at angles `offset` (k, d) occupy: (k,) by their nearest
-    sectors; (k, v) these and the variants for branches near a border, padded by -1.
+    """Bit masks (k,) of the sectors that hold the branches at angles `offset` (k, d) [rad], NaN for
+    none; and (k, v) the same followed by its variants, padded by -1.
 
-    Strategy: a branch near a border may also be in the sector beyond. The variants are the choices
-    for all subsets of the two branches nearest to a border.
+    In a variant, branches near a border are in the sector beyond it: one or both of the two that
+    are nearest to a border.
     """
     exists = np.isfinite(offset)
     offset = np.where(exists, offset, 0.0)
@@ -73,18 +73,18 @@ def _mask_of(sector: IntArray, exists: BoolArray) -> IntArray:
 def pattern_keys(
     variants: IntArray, reverse: IntArray, length: FloatArray
 ) -> tuple[FloatArray, IntArray]:
-    """Sorted keys, pattern * LENGTH_SCALE + length, of all variants of directed corridors, and the
-    corridor of each. variants: (k, v) masks; reverse: (k,) row of the other direction."""
-    if len(length) == 0:
-        return np.zeros(0), np.zeros(0, np.int64)
+    """Keys pattern * LENGTH_SCALE + length of directed corridors, ascending, and the corridor of
+    each. Similar corridors of another map are found in them by bisection.
+
+    A pattern is 16 * mask at the tail + mask at the head. variants: (k, v) masks at the tail, -1
+    for none (`sector_masks`); reverse: (k,) row of the other direction; length: (k,) [m].
+    """
     tail_mask, head_mask = variants[:, :, None], variants[reverse][:, None, :]
-    pattern = np.where((tail_mask >= 0) & (head_mask >= 0), tail_mask * 16 + head_mask, -1).reshape(
-        len(length), -1
-    )
-    row, column = np.nonzero(pattern >= 0)
-    key = pattern[row, column] * LENGTH_SCALE + np.minimum(length[row], LENGTH_SCALE / 2)
+    pattern = tail_mask * 16 + head_mask
+    row, tail, head = np.nonzero((tail_mask >= 0) & (head_mask >= 0))
+    key = pattern[row, tail, head] * LENGTH_SCALE + np.minimum(length[row], LENGTH_SCALE / 2)
     order = np.argsort(key, kind="stable")
-    return key[order], row[order]
+    return np.asarray(key[order]), np.asarray(row[order])
 
 
 def pattern_bits(heading: FloatArray, count: IntArray) -> tuple[FloatArray, FloatArray]:

@@ -36,10 +36,10 @@ def branch_bits(
     return np.asarray(doubted(nats, confidence) / BIT)
 
 
-def lonely_branches(
+def unpaired_branches(
     a: Prepared, b: Prepared, va: IntArray, vb: IntArray, turn: ComplexArray
 ) -> IntArray:
-    """(k,) number of branches that only one of two matched junctions has."""
+    """(k,) number of branches of vertices va, vb without a partner. turn: as in `branch_bits`."""
     agree = _pairs(a, b, va, vb, turn).paired.sum(axis=1)
     return np.asarray(a.count[va] + b.count[vb] - 2 * agree)
 

@@ -192,8 +192,8 @@ def _elsewhere(
 
 
 def _diverging(grown: Grown, searched: BoolArray) -> tuple[IntArray, IntArray, IntArray]:
-    """Corridors that both runs drove from matched junctions by one branch, and that lead to
-    vertices which are not matched with each other: lane, directed rows of both maps."""
+    """Pairs of corridors that leave matched junctions by the same branch, but end at vertices that
+    are not matched: (k,) lane, directed rows of a and of b. searched: (l,) lanes to look at."""
     lanes, a, b = grown.lanes, grown.lanes.a.whole, grown.lanes.b.whole
     matches = searched[grown.lane].nonzero()[0]
     va, row, lane = grown.a[matches], grown.row[matches], grown.lane[matches]

@@ -31,7 +31,7 @@ MAPS_ALONE = "the maps alone say:"
 class Case:
     """All that decides on two maps: their own evidence, locks, and the other runs.
 
-    forced: the alignment by a lock as the same; refused: why the pair was not joined;
+    forced: the alignment that a lock "same" demands; refused: why the pair was not joined;
     by_components: the match of their components; corroborated: a candidate that agrees with other
     runs; together: whether the two are in one component.
     """
@@ -145,7 +145,8 @@ class Case:
     def _not_joined(
         self, verdict: Verdict, reason: str, settled_by: str | None = None
     ) -> PairVerdict:
-        """settling: what would settle an ambiguous pair, if that is not another recording."""
+        """The verdict of a pair that is not joined. settled_by: what would settle it, if ambiguous;
+        by default `advice`."""
         assessment = self.assessment
         candidates = (assessment.best, assessment.runner_up)
         best, second = (None if c is None else self._alignment(c) for c in candidates)

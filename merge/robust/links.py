@@ -173,8 +173,9 @@ def _slack(apart_m: FloatArray) -> FloatArray:
 def _largest_consensus(
     links: Links, mid_a: ComplexArray, mid_b: ComplexArray, rows: IntArray
 ) -> tuple[IntArray, float]:
-    """Rows of the links of a component that agree with the transform of one of them, with the most
-    bits in all, and their mean rotation [rad]."""
+    """Of the links `rows` those that agree with the transform of one of them, chosen for the most
+    bits in all; and their mean rotation [rad]. mid_a, mid_b: (k,) middles of all links' corridors,
+    x + iy [m]."""
     if len(rows) == 1:
         return rows, float(links.theta[rows[0]])
     most = isqrt(MATCH.most_pairs)  # each votes on each

@@ -133,7 +133,8 @@ class MergedMaps:
 
 
 def _as_single_run(component: Component, fused: FusedMap, topomaps: Sequence[TopoMap]) -> TopoMap:
-    """A fused map as the map of one run that saw everything, with the noise of the worst run."""
+    """A fused map as the map of one run that saw everything; each noise term is the largest of the
+    runs'."""
     by_name = {m.run: m for m in topomaps}
     fields = RunNoise.__dataclass_fields__
     noise = RunNoise(**{name: max(getattr(m.noise, name) for m in topomaps) for name in fields})

@@ -17,7 +17,7 @@ from ...topology.columns import joined
 from ...topology.matching.likelihood import BIT, LIKELIHOOD
 from ...topology.quadratic_forms import MEDIAN_CHI2
 from .atlas import Atlas
-from .branches import lonely_branches
+from .branches import unpaired_branches
 from .prepare import Prepared
 from .settings import MATCH, RobustSettings
 
@@ -154,7 +154,7 @@ def _count_differing(
     va = np.concatenate([c.a for _, _, c in cases]) + first[:, 0]
     vb = np.concatenate([c.b for _, _, c in cases]) + first[:, 1]
     turn = np.concatenate([c.turn for _, _, c in cases])
-    differs = np.where(lonely_branches(atlas.whole, atlas.whole, va, vb, turn) > 0, 1.0, 0.0)
+    differs = np.where(unpaired_branches(atlas.whole, atlas.whole, va, vb, turn) > 0, 1.0, 0.0)
     fault = atlas.whole.fault_rate[va] + atlas.whole.fault_rate[vb]
     fault += 1 - atlas.whole.confidence[va] * atlas.whole.confidence[vb]
     expected = _sums(fault, ends) / np.maximum(np.diff(ends), 1)

@@ -108,10 +108,10 @@ def align(
 
 
 def _trials(between: ComplexArray, reach: FloatArray) -> Iterator[tuple[IntArray, ComplexArray]]:
-    """Rotations to try, by increasing angle: (rows, unit number of each row).
+    """Yield rotations to try, by increasing angle: (rows, one unit complex number for each row).
 
-    between: (k, m) rotations from branches of b to branches of a as unit numbers, 0 where there is
-    no branch; reach: (k,) largest rotation [rad].
+    between: (k, m) rotations from branches of b to branches of a, as unit complex numbers, 0 for no
+    branch; reach: (k,) largest angle [rad]. Rotations near one already tried are left out.
     """
     cosine = np.where(between != 0, between.real, -np.inf)
     limit = np.cos(np.minimum(reach, np.pi))

@@ -29,7 +29,7 @@ class CandidateSettings:
     (`benchmarks/closure.py --growth`)."""
     most_tabled: int = 1_000_000
     """Pairs of places in one table: about 200 MB."""
-    most_strangers: int = 3000
+    most_null_pairs: int = 3000
     """Size of the sample of null pairs: it estimates a tail probability of 1/100 to a fifth."""
 
 
@@ -153,16 +153,16 @@ def _possible_pairs(state: MapState, place: IntArray, estimate: Estimate) -> _Pa
 
 
 def _null_pairs(state: MapState, pairs: _Pairs) -> FloatArray:
-    """(m,) log odds of null pairs by their surroundings, ascending. Null pairs are those that
+    """(m,) log odds [nats] of the surroundings of null pairs, ascending. A null pair is one that
     position excludes.
 
-    In rows of corridors of equal length, different places are more similar than with independent
-    lengths: null pairs measure by how much in this run.
+    Different places look more alike in rows of equal corridors than with independent lengths. These
+    odds show how much so in this run (`calibrated_odds`). At most `most_null_pairs` are sampled.
     """
     _, d2 = position_odds(state.common, pairs.shift, pairs.shift_covariance(state.common))
     apart = np.hypot(*pairs.shift.T) > state.common.core_m
     rows = np.flatnonzero((d2 > LIKELIHOOD.gate_chi2(2)) & apart)
-    rows = rows[:: -(-len(rows) // CANDIDATES.most_strangers) or 1]
+    rows = rows[:: -(-len(rows) // CANDIDATES.most_null_pairs) or 1]
     return np.sort(_surroundings(state, take(pairs, rows)).odds)
 
 

@@ -102,7 +102,7 @@ def dead_reckoning(
     piece = piece_of(odometry, passes.time_ns)
     leg = np.where(np.diff(stretch_of(odometry, passes.time_ns)) == 0, np.diff(way), np.nan)
     track = track_directions(odometry, passes.time_ns, passes.centre)
-    centroids, centred = _about_pieces(odometry)
+    centroids, centred = _about_centroids(odometry)
     return DeadReckoning(
         passes=passes,
         noise=noise,
@@ -126,7 +126,12 @@ FAR_M = 15.0
 def _loops_of_passes(
     odometry: Odometry, passes: Passes, noise: RunNoise, revisits: SeenAgain
 ) -> Factors:
-    """Every revisit as a loop between its nearest passes; for each pair the most certain."""
+    """Revisits as loops between the passes nearest to both times; for each pair the most certain.
+
+    Left out are revisits with a time farther than `FAR_M` from all passes, or with one pass nearest
+    to both. A loop has the shift of `odometry`, which the revisits have corrected; the ways to the
+    passes add to its covariance.
+    """
     if not len(revisits) or not len(passes):
         return NO_FACTORS
     pass_arc_m, stretch = way_at(odometry, passes.time_ns), stretch_of(odometry, passes.time_ns)
@@ -169,11 +174,11 @@ def scale_noise(reckoning: DeadReckoning, factor: float) -> DeadReckoning:
     return replace(reckoning, noise=noise, sums=sums)
 
 
-def _about_pieces(odometry: Odometry) -> tuple[FloatArray, FloatArray]:
-    """(q, 2) centroid of every unbroken piece, and (n, 2) positions relative to that of their
-    piece.
+def _about_centroids(odometry: Odometry) -> tuple[FloatArray, FloatArray]:
+    """(q, 2) centroid of every unbroken piece [m], and (n, 2) positions relative to that of their
+    piece [m].
 
-    Sums about the centroid keep their precision wherever a reset has put the frame.
+    A reset may put a piece far from the origin, where sums of coordinates lose precision.
     """
     position = odometry.pose[:, :2]
     centroids = np.stack([m.mean(axis=0) for m in np.split(position, odometry.breaks)])
@@ -222,10 +227,11 @@ def relative_covariance(reckoning: DeadReckoning, first: IntArray, second: IntAr
 
     Random walk and jumps only; see `systematic_modes` for the constant errors. Axes are those of
     the odometry frame; theta is the error of that frame's heading. Closed form from prefix sums,
-    O(1) per pair: with S0 = Σq, S1 = Σq p, S2 = Σq p pᵀ over the steps between and c the second
-    pass, C_θθ = S0, C_xyθ = J (S0 c - S1), C_xy = Στ² ds I + J (S0 c cᵀ - S1 cᵀ - c S1ᵀ + S2) Jᵀ.
+    O(1) per pair. Per step between: position p, variances q of heading and τ² ds of position. With
+    S0 = Σq, S1 = Σq p, S2 = Σq p pᵀ, second pass c and J the rotation by 90°: C_θθ = S0,
+    C_xyθ = J (S0 c - S1), C_xy = Στ² ds I + J (S0 c cᵀ - S1 cᵀ - c S1ᵀ + S2) Jᵀ.
     """
-    sums = _between(reckoning.sums[:, RANDOM] + reckoning.jumps, first, second)
+    sums = _increase(reckoning.sums[:, RANDOM] + reckoning.jumps, first, second)
     c = (reckoning.passes.centre - reckoning.origin)[second]
     s0, s1x, s1y, s2xx, s2xy, s2yy, along = sums.T
     x, y = c.T
@@ -250,7 +256,7 @@ def systematic_modes(reckoning: DeadReckoning, first: IntArray, second: IntArray
     Last axis: turn per metre, turn per radian (`SystematicErrors`). Exact sums over the odometry
     rows, for first <= second.
     """
-    sums = _between(reckoning.sums, first, second)
+    sums = _increase(reckoning.sums, first, second)
     c = (reckoning.passes.centre - reckoning.origin)[second]
     modes = np.zeros((len(sums), 3, 2))
     for mode, column in ((0, 7), (1, 10)):
@@ -274,7 +280,7 @@ def dead_reckoning_covariance(
     return covariance
 
 
-def _between(sums: FloatArray, first: IntArray, second: IntArray) -> FloatArray:
-    """(k, c) sums over the odometry between two passes each, in either order."""
+def _increase(sums: FloatArray, first: IntArray, second: IntArray) -> FloatArray:
+    """(k, c) increase of prefix sums (p, c) between two passes (k,), given in either order."""
     low, high = np.minimum(first, second), np.maximum(first, second)
     return np.asarray(sums[high] - sums[low])

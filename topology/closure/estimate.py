@@ -101,8 +101,7 @@ def optimise(
     """Most likely poses of passes and places, from odometry and identifications.
 
     place: (p,) place of each pass, numbered from 0; negative: none. start: (p, 3) initial poses;
-    turn: (p,) rotations that align the branches of the passes of one place, where those of `start`
-    do not.
+    turn: (p,) rotations [rad] that align the branches of one place; by default those of `start`.
 
     Nodes of the pose graph are the passes (at their centre, rotated like the odometry frame) and
     the places with several passes. Edges are the legs between consecutive passes, the observations
@@ -287,8 +286,8 @@ def _information(cov: FloatArray) -> FloatArray:
     """
     variance, axes = np.linalg.eigh(cov)
     least = 1e-12 * variance[:, -1:]
-    scaled = axes / np.maximum(variance, least)[:, None, :] @ axes.transpose(0, 2, 1)
-    return np.asarray(0.5 * (scaled + scaled.transpose(0, 2, 1)))
+    inverse = axes / np.maximum(variance, least)[:, None, :] @ axes.transpose(0, 2, 1)
+    return np.asarray(0.5 * (inverse + inverse.transpose(0, 2, 1)))
 
 
 def _observations(

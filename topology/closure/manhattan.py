@@ -57,7 +57,8 @@ class GridHeadings:
 
 
 def grid_headings(reckoning: DeadReckoning) -> GridHeadings | None:
-    """Rotations of the passes by the building's grid; None if the building is not rectilinear."""
+    """Rotation from odometry to map frame at each pass that sees the building's grid; None if the
+    building is not rectilinear (`RectilinearSettings`)."""
     branches = reckoning.passes.branches
     owner = branches.owner
     # Angles between neighbouring branches of a pass, as distance from the next quarter turn.
@@ -75,9 +76,7 @@ def grid_headings(reckoning: DeadReckoning) -> GridHeadings | None:
         owner, np.sin(4 * branches.values), count
     )
     count_of_pass = branches.counts
-    row = np.flatnonzero(
-        (count_of_pass > 0) & (np.abs(direction) > 0.5 * np.maximum(count_of_pass, 1))
-    )
+    row = np.flatnonzero(np.abs(direction) > 0.5 * count_of_pass)
     if len(row) < 2:
         return None
     grid = np.angle(direction[row]) / 4
@@ -85,18 +84,16 @@ def grid_headings(reckoning: DeadReckoning) -> GridHeadings | None:
     step = from_quarter(np.diff(grid))
     sigma = np.sqrt(reckoning.noise.branch_rad**2 / count_of_pass[row] + RECTILINEAR.spread_rad**2)
     drift = dead_reckoning_covariance(reckoning, row[:-1], row[1:])[:, 2, 2]
-    excess = step**2 / (drift + sigma[1:] ** 2 + sigma[:-1] ** 2)
+    chi2 = step**2 / (drift + sigma[1:] ** 2 + sigma[:-1] ** 2)
     connected = reckoning.piece[row[:-1]] == reckoning.piece[row[1:]]
-    if connected.any() and excess[connected].mean() > RECTILINEAR.most_wander:
+    if connected.any() and chi2[connected].mean() > RECTILINEAR.most_wander:
         return None
     # Each piece of the odometry has a frame of its own.
     turn = -np.concatenate([[0.0], np.cumsum(step)])
     first_of_piece = np.flatnonzero(np.concatenate([[True], ~connected]))
     size = np.diff(first_of_piece, append=len(row))
-    turn, axis = (
-        np.asarray(wrap(turn - np.repeat(turn[first_of_piece], size))),
-        np.repeat(grid[first_of_piece], size),
-    )
+    turn = np.asarray(wrap(turn - np.repeat(turn[first_of_piece], size)))
+    axis = np.repeat(grid[first_of_piece], size)
     return GridHeadings(row, turn, axis, sigma, RECTILINEAR.spread_rad)
 
 

@@ -167,10 +167,8 @@ def _equal_lengths(x: _Measured, y: _Measured, bound_sigmas: float) -> tuple[Int
     k, h = _windows(key_y[order_y], np.minimum(reach * y.sigma[order_y], cap), key_x[order_x])
     k, h = order_y[k], order_x[h]
     wide_x, wide_y = x.sigma[i] >= y.sigma[j], y.sigma[k] > x.sigma[h]
-    i, j = (
-        np.concatenate([i[wide_x], h[wide_y]]),
-        np.concatenate([j[wide_x], k[wide_y]]),
-    )
+    i = np.concatenate([i[wide_x], h[wide_y]])
+    j = np.concatenate([j[wide_x], k[wide_y]])
     close = np.abs(x.length[i] - y.length[j]) <= bound_sigmas * np.hypot(x.sigma[i], y.sigma[j])
     return i[close], j[close]
 
@@ -319,6 +317,7 @@ def single_matches(
 
 
 def _slot_singles(a: Structure, b: Structure, settings: GrowthSettings) -> SingleMatches:
+    """`single_matches` of rectilinear maps, by classes of vertices with equal slots."""
     classes = SlotClasses.of(a, b, settings)
     return SingleMatches(
         nodes=classes.expanded(classes.compatible & classes.disjoint),

@@ -113,14 +113,14 @@ def correspond(
     maps are not mirrored.
     """
     if settings.degree == "exact":
-        return _all_branches(a, b, at_a, at_b, settings)
-    return _most_branches(a, b, at_a, at_b, settings)
+        return _correspond_exact(a, b, at_a, at_b, settings)
+    return _correspond_inexact(a, b, at_a, at_b, settings)
 
 
-def _all_branches(
+def _correspond_exact(
     a: Structure, b: Structure, at_a: Ends, at_b: Ends, settings: GrowthSettings
 ) -> tuple[BoolArray, IntArray]:
-    """Equal degrees: branch i of a corresponds to branch i + shift of b, all within the
+    """`correspond` for equal degrees: branch i of a with branch i + shift of b, all within the
     tolerance."""
     (vertex_a, branch_a), (vertex_b, branch_b) = at_a, at_b
     degree, shift = a.degree[vertex_a], branch_b - branch_a
@@ -136,10 +136,10 @@ def _all_branches(
     return equal & (deviation.max(axis=1, initial=0.0) <= settings.branch_tolerance_rad), partner
 
 
-def _most_branches(
+def _correspond_inexact(
     a: Structure, b: Structure, at_a: Ends, at_b: Ends, settings: GrowthSettings
 ) -> tuple[BoolArray, IntArray]:
-    """Inexact degrees: up to `unmatched_branches` branches of either vertex may have no partner."""
+    """`correspond` for inexact degrees: up to `unmatched_branches` of a vertex have no partner."""
     # Strategy: the given pair fixes a rotation, and mutually nearest branches within the tolerance
     # correspond. Their mean difference is the rotation of a second pass.
     (vertex_a, branch_a), (vertex_b, branch_b) = at_a, at_b
@@ -149,8 +149,8 @@ def _most_branches(
     for _ in range(2):
         pairs = mutual_nearest(ua, ub * rotation[:, None], gate)
         difference = ua * np.take_along_axis(ub, pairs.nearest, axis=1).conj()
-        mean = np.where(pairs.paired, difference, 0.0).sum(axis=1)
-        rotation = np.exp(1j * np.angle(mean))
+        total = np.where(pairs.paired, difference, 0.0).sum(axis=1)
+        rotation = np.exp(1j * np.angle(total))
     partner, count = np.where(pairs.paired, pairs.nearest, -1), pairs.paired.sum(axis=1)
     most = settings.unmatched_branches
     compatible = (a.degree[vertex_a] - count <= most) & (b.degree[vertex_b] - count <= most)

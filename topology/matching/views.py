@@ -267,8 +267,8 @@ def _coarse_search(
 def _window_scores(
     product: NDArray[np.complex64], middle: IntArray, window: IntArray
 ) -> NDArray[np.float32]:
-    """(r, t, w²) correlations at the shifts of a window (w,) around each middle (r, 2), in coarse
-    cells, row by row. product: (r, t, …) their Fourier transforms, overwritten."""
+    """(r, t, w²) correlations at the shifts middle + window (w,) of y and x [coarse cells], in rows
+    of equal y. product: (r, t, …) their Fourier transforms, overwritten; middle: (r, 2) x, y."""
     score = fft.irfft2(product, (PADDED, PADDED), overwrite_x=True)
     y = (middle[:, 1, None] + window) % PADDED
     x = (middle[:, 0, None] + window) % PADDED
