@@ -19,6 +19,7 @@ from .document import (
     sigmas_to_document,
 )
 from .result import Alignment, PairVerdict
+from .wording import AGREES_BITS
 
 DECISION_SCHEMA: Literal["topobatch.decision/1"] = "topobatch.decision/1"
 
@@ -54,6 +55,11 @@ class Term:
     b: tuple[int, ...] = ()
     size_m: tuple[float, float] | None = None
     seen: Compared | None = field(default=None, compare=False, repr=False)
+
+    @property
+    def contradicts(self) -> bool:
+        """Whether it speaks against the placement, and not only little (`AGREES_BITS`)."""
+        return self.bits < -AGREES_BITS
 
     @property
     def with_size(self) -> str:

@@ -20,7 +20,6 @@ from ..merge.decision_text import (
     to_record,
 )
 from ..merge.result import shown_bits
-from ..merge.wording import AGREES_BITS
 from ..topology.arrays import FloatArray
 from ..topology.matching.views import CONTRADICTS, SILENT, Compared
 from ..topology.se2 import apply, compose, turned
@@ -123,7 +122,7 @@ def _evidence(
         if len(term.a) == 2:
             if term.bits > 0:
                 ink, key = "agrees", "link that speaks for it"
-            elif term.bits < -AGREES_BITS:
+            elif term.contradicts:
                 ink, key = "against", CONTRADICTIONS
             else:
                 ink, key = "dim", "link that says little"
