@@ -81,13 +81,13 @@ def changes(
             say(f"{one.name}: nothing changed")
         for k, change in own:
             what, *more_lines = change.words(one.name)
-            say(f"{k}. {what}")
+            say_folded(f"{k}. {what}", indent="   ")
             for line in more_lines:
                 say_folded(f"  {line}", indent="    ")
     unsure = sum(not c.sure for c in found)
     more = f", and {counted(unsure, 'difference')} that may be due to chance" if unsure else ""
     hint = " (--all shows them)" if unsure and not everything else ""
-    say(
+    say_folded(
         f"{counted(len(found) - unsure, 'change')}{more}{hint}"
         if compared
         else "no two recorded runs were merged: nothing to compare"

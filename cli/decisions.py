@@ -151,7 +151,8 @@ def discard(
         names = listed([*runs, *(f"{a}:{b}" for a, b in pairs)])
         done = f"{'counted again' if undo else 'discarded'}: {names}"
         note(place, "discard", done)
-        say(done)
+        back = "comes back when its log is" if len(runs) == 1 else "come back when their logs are"
+        say(f"{done}; {listed(runs)} {back} ingested again" if runs else done)
         made_again(place, {*runs, *(run for pair in pairs for run in pair)})
 
 
@@ -234,8 +235,13 @@ def _names(place: Workspace, old: str, new: str) -> dict[str, str]:
     taken = sorted(set(names.values()) & set(known))
     if taken:
         raise UsageError(f"there is a run {taken[0]!r} already")
-    for name in names.values():
+    sites = place.sites()
+    if (result := place.last_result()) is not None:
+        sites |= {c.site: tuple(c.poses) for c in result.components}
+    for before, name in names.items():
         place.check_run(name)
+        if {*sites.get(name, ())} - {before}:
+            raise UsageError(f"{name!r} cannot name a run: a site is called so")
     return names
 
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from enum import StrEnum
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 from ..ingest.reading import read_run
 from ..merge.changes import last_found
@@ -36,13 +37,13 @@ from .workspace import MERGED, Named, Workspace
 
 STDOUT = Path("-")
 
-Format = Literal["nav2", "lif", "rmf", "tmap2", "graphml", "grid", "g2o", "tum", "csv"]
+Format = StrEnum("Format", "nav2 lif rmf tmap2 graphml grid g2o tum csv")
 
 
 @verb
 def export(
-    form: Annotated[
-        Format,
+    forms: Annotated[
+        list[Format],
         option(
             "--format -f",
             "nav2: GeoJSON of the Nav2 route server; lif: VDMA LIF 1.0; rmf: Open-RMF "
@@ -103,6 +104,9 @@ def export(
       topobatch export run1 --format tum
     """
     show(quiet=quiet or as_json)
+    form, *more = forms
+    if more:
+        raise UsageError(f"a call writes one --format; {len(forms)} are given: {', '.join(forms)}")
     if output not in (None, STDOUT):
         checked_output(output)
     if as_json and output == STDOUT:
@@ -198,7 +202,7 @@ def _texts(
         except DataError as error:
             if len(sources) == 1:
                 raise
-            warn(f"{error}; left out")
+            warn(f"left out: {error}")
             continue
         texts |= {f"{source.name}{ending}": text for ending, text in files.items()}
     return texts

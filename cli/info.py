@@ -25,11 +25,14 @@ from .options import (
     settings_of,
     verb,
 )
-from .output import complain, counting, megabytes, progress, say, say_json, table
+from .output import complain, counting, megabytes, progress, say, say_json, say_row, table
 from .run_logs import run_names
 
 WHOLE_BYTES = 64_000_000
 """Logs up to this size are read whole, without their scans: a fraction of a second."""
+
+MOST_DETAILED = 8
+"""Logs up to which each has lines of its own, four or more: those of more fill several screens."""
 
 SCANS = {*JUNCTIONS["scan"].types, *JUNCTIONS["cloud"].types}
 """Types of topics of lasers and clouds."""
@@ -66,7 +69,8 @@ def info(
     --try reads these as well, and tells where no junction shows in them. Of others that have an
     index only the index is read. Of logs that are damaged or not read whole, a line says what is
     usable. Options about reading are those of ingest, also those that the workspace remembers
-    (topobatch init), which are shown first.
+    (topobatch init), which are shown first. Of more than 8 logs each is a row of a table; --try, or
+    fewer logs, tell all.
 
     \b
       topobatch info run1.mcap
@@ -80,8 +84,8 @@ def info(
     known, missing = read.logs(logs or ())
     for _, error in missing:
         complain(str(error))
-    failed, described = bool(missing), []
-    usable = scanned = 0
+    failed, brief = bool(missing), len(known) > MOST_DETAILED and not try_all
+    described: list[LogInfo] = []
     for each, run in run_names(known).items():
         try:
             found = replace(inspect_log(each, settings), name=run)
@@ -92,22 +96,31 @@ def info(
         how = _trial(found, settings, try_all)
         if how is not None:
             found = _tried(found, each, replace(how, strict=not found.problems))
-        if as_json:
-            path = str(found.path).encode("utf-8", "backslashreplace").decode()
-            described.append(asdict(found) | {"path": path})
-        else:
+        if not (as_json or brief):
             for line in [*_described(found), *_faults(found, tried=how is not None)]:
-                say(line)
+                say_row(line)
+        described.append(found)
         failed |= bool(found.problems)
-        usable += found.usable
-        scanned += found.usable and any(t.messages and t.type_name in SCANS for t in found.topics)
     if as_json:
-        say_json(described)
+        paths = (str(o.path).encode("utf-8", "backslashreplace").decode() for o in described)
+        say_json([asdict(o) | {"path": path} for o, path in zip(described, paths, strict=True)])
     elif len(known) + len(missing) > 1:
-        logs_of = counted(len(known) + len(missing), "log")
-        say(f"{logs_of}: {usable} usable, {scanned} of them with a laser or clouds")
+        _summarise(described, len(known) + len(missing), brief=brief)
     if failed:
         raise typer.Exit(1)
+
+
+def _summarise(described: list[LogInfo], logs: int, *, brief: bool) -> None:
+    """Print how many of all logs are usable; brief: after a row for each of those described."""
+    if brief:
+        header = ("run", "format", "MB", "seconds", "used", "problem")
+        for line in table(header, [_row(found) for found in described]):
+            say_row(line)
+    usable = [found for found in described if found.usable]
+    scanned = sum(any(t.messages and t.type_name in SCANS for t in o.topics) for o in usable)
+    each = "; of each more: topobatch info LOG" if brief else ""
+    told = f"{len(usable)} usable, {scanned} of them with a laser or clouds"
+    say(f"{counted(logs, 'log')}: {told}{each}")
 
 
 def _trial(found: LogInfo, settings: ReadSettings, try_all: bool) -> ReadSettings | None:
@@ -136,6 +149,16 @@ def _tried(found: LogInfo, log: LogPath, settings: ReadSettings) -> LogInfo:
             return replace(found, problems=problems, usable=False)
     found = as_read(found, run.source)
     return replace(found, warnings=tuple(w for w in run.warnings if w not in found.problems))
+
+
+def _row(found: LogInfo) -> tuple[str, ...]:
+    """A log as a row of a table: what would be used of it, and the first of its problems."""
+    seconds = "" if found.duration_s is None else f"{found.duration_s:,.1f}"
+    used = ", ".join(dict.fromkeys(t.use for t in found.topics if t.use))
+    first = next(iter([*found.problems, *found.warnings]), "")
+    more = len(found.problems) + len(found.warnings) - 1
+    fault = first.removeprefix(f"{found.path}: ") + (f"; and {more} more" if more > 0 else "")
+    return (found.name, found.format, megabytes(found.bytes), seconds, used, fault)
 
 
 def _described(found: LogInfo) -> list[str]:

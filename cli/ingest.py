@@ -40,6 +40,7 @@ WORTH_A_PROCESS_BYTES = 32_000_000
 
 @verb
 def ingest(
+    context: typer.Context,
     logs: Annotated[
         list[str],
         argument(
@@ -105,7 +106,7 @@ def ingest(
             new = sorted(outcome.run for outcome in outcomes if outcome.status == "done")
             if new:
                 text = f"{counted(len(new), 'log')}: {listed(new)}"
-                note(place, "ingest", f"{text}{by_settings(place)}")
+                note(place, "ingest", f"{text}{by_settings(context, place)}")
     if as_json:
         fields = ("run", "status", "text", "maps", "warnings")
         say_json([{name: getattr(o, name) for name in fields} for o in outcomes])
@@ -128,7 +129,7 @@ def _plan(
     from .ingest_worker import IngestOutcome
 
     planned: list[IngestJob | IngestOutcome] = [
-        IngestOutcome(path.name, "failed", str(error)) for path, error in missing
+        IngestOutcome(path.name, "failed", str(error), maps=0) for path, error in missing
     ]
     if name is not None and len(logs) + len(planned) != 1:
         raise UsageError(f"--name goes with one log; found {len(logs) + len(planned)}")
@@ -144,7 +145,7 @@ def _plan(
                 raise UsageError(f"{used[run]} would become run {run!r} as well")
         except UsageError as error:
             text = f"{log}: {error}; give it another by --name"
-            planned.append(IngestOutcome(log.name, "failed", text, needs_option=True))
+            planned.append(IngestOutcome(log.name, "failed", text, needs_option=True, maps=0))
             continue
         used[run] = log
         planned.append(replace(like, log=log, run=run))
@@ -209,7 +210,7 @@ def _show(outcome: IngestOutcome) -> None:
 def _summarise(outcomes: list[IngestOutcome], place: Workspace) -> None:
     failed = sorted(outcome.run for outcome in outcomes if outcome.status == "failed")
     unchanged = sum(outcome.maps for outcome in outcomes if outcome.status == "unchanged")
-    good = sum(outcome.maps for outcome in outcomes if outcome.status != "failed")
+    good = sum(outcome.maps for outcome in outcomes)
     done = [outcome.size for outcome in outcomes if outcome.status == "done"]
     logs = counted(len(outcomes), "log")
     if len(done) > 1:

@@ -83,7 +83,7 @@ def outcomes_of(
         yield from _side_by_side(alone, 1, advance)
         if alone:
             text = f"{job.log}: the process that read it was killed (out of memory?)"
-            yield IngestOutcome(job.run, "failed", text)
+            yield IngestOutcome(job.run, "failed", text, maps=0)
 
 
 def _side_by_side(
@@ -136,7 +136,7 @@ def ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcome
 
     `on_bytes` is called with the number of further bytes read.
     """
-    failed = partial(IngestOutcome, job.run, "failed")
+    failed = partial(IngestOutcome, job.run, "failed", maps=0)
     try:
         return _ingest_one(job, on_bytes)
     except TopobatchError as error:

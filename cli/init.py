@@ -10,7 +10,8 @@ from ..topology.errors import UsageError
 from ..topology.files import write_text
 from .journal import note
 from .options import (
-    NAMES,
+    GIVEN,
+    REMEMBERED,
     FalseMergeRate,
     Here,
     MapOptions,
@@ -18,6 +19,7 @@ from .options import (
     describe_settings,
     option,
     settings_text,
+    taken,
     verb,
 )
 from .output import say_lines
@@ -42,12 +44,7 @@ def init(
       topobatch init --odometry-topic /odom --laser-pose 0.2,0,0
       topobatch init --false-merge-rate 0.0001
     """
-    remembered = ("COMMANDLINE",) if forget else ("COMMANDLINE", "DEFAULT_MAP")
-    given = {
-        name: value
-        for name, value in context.params.items()
-        if name in NAMES and context.get_parameter_source(name).name in remembered  # type: ignore[union-attr]
-    }
+    given = taken(context, GIVEN if forget else (*GIVEN, *REMEMBERED))
     for name, value in given.items():
         if isinstance(value, str) and not value.isprintable():
             raise UsageError(f"--{name.replace('_', '-')} is {value!r}, which is no name")

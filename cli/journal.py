@@ -14,7 +14,7 @@ from ..topology.errors import DataError
 from ..topology.files import read_bytes, write_text
 from ..topology.wording import counted
 from .options import Here, JsonOption, option, verb
-from .output import say, say_json, table, warn
+from .output import say, say_json, say_row, table, warn
 from .workspace import Workspace
 
 
@@ -84,6 +84,6 @@ def history(
         return
     rows = [(entry.time, entry.what, entry.text) for entry in entries]
     for line in table(("when", "what", ""), rows):
-        say(line)
+        say_row(line)
     if len(entries) < len(known):
         say(f"  ({len(known) - len(entries)} more: --last {len(known)})")

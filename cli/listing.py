@@ -17,8 +17,8 @@ from ..merge.result import Component, MergeResult
 from ..topology.errors import DataError
 from ..topology.wording import counted, utc
 from .options import Here, JsonOption, verb
-from .output import complain, say, say_folded, say_json, table, warn
-from .stale import changed_since
+from .output import complain, say, say_folded, say_json, say_row, table, warn
+from .stale import changed_since, locked_since
 from .version import VERSION
 from .workspace import Workspace
 
@@ -51,8 +51,8 @@ def list_runs(place: Here, as_json: JsonOption = False) -> None:
     The sites of the last merge by name, each with its junctions and corridors; their names
     are what draw, export and changes take (topobatch site gives others). Of every run how large its
     map is and what is wrong with it, when the robot first passed a junction (its log may begin
-    earlier), and what is stale: maps that changed since the merge, logs that changed or were read
-    by another version. The exit code is 1 if a map cannot be read.
+    earlier), and what is stale: maps and locks that changed since the merge, logs that changed or
+    were read by another version. The exit code is 1 if a map cannot be read.
 
     \b
       topobatch list
@@ -60,7 +60,10 @@ def list_runs(place: Here, as_json: JsonOption = False) -> None:
     """
     merged = _last_merge(place)
     home = {run: c for c in merged.components for run in c.poses} if merged else {}
-    rows = [_listed(place, run, merged, home.get(run)) for run in place.runs()]
+    locked = _locked_since(place, merged)
+    rows = [
+        _listed(place, run, merged, home.get(run), locked=run in locked) for run in place.runs()
+    ]
     if not rows:
         raise place.no_maps()
     if as_json:
@@ -78,11 +81,11 @@ def _show(rows: Sequence[Listed], sizes: Mapping[int, str], gone: int) -> None:
     not here any more."""
     head = ("run", "junctions", "corridors", "first pass (UTC)", "health", "stale")
     first, *lines = table(head, [_row(row) for row in rows])
-    say(first)
+    say_row(first)
     for title, own in _by_site(rows, sizes):
         say_folded(title, indent="    ")
         for k in own:
-            say(lines[k])
+            say_row(lines[k])
     if gone:
         say(f"in the last merge, but not here any more: {counted(gone, 'run')}")
     stale = sum(bool(row.stale) for row in rows)
@@ -121,6 +124,15 @@ def _last_merge(place: Workspace) -> MergeResult | None:
         return None
 
 
+def _locked_since(place: Workspace, merged: MergeResult | None) -> set[str]:
+    """The runs with a lock that was set or cleared since the last merge."""
+    try:
+        return {run for pair in locked_since(place, merged) for run in pair} if merged else set()
+    except DataError as error:
+        warn(f"{error}; listed without locks")
+        return set()
+
+
 def _sizes(result: MergeResult) -> dict[int, str]:
     """Junctions and corridors of every component; of several, the numbers of its junctions, which
     follow each other, and its weakest link."""
@@ -136,15 +148,22 @@ def _sizes(result: MergeResult) -> dict[int, str]:
 
 
 def _listed(
-    place: Workspace, run: str, merged: MergeResult | None, home: Component | None
+    place: Workspace,
+    run: str,
+    merged: MergeResult | None,
+    home: Component | None,
+    *,
+    locked: bool,
 ) -> Listed:
-    """home: the run's component in the last merge."""
+    """home: the run's component in the last merge; locked: a lock of it changed since then."""
     made_ns = os.lstat(place.maps / f"{run}.json").st_mtime_ns
     old = []
     if merged is not None and home is None:
         old.append("not merged")
     elif merged is not None and changed_since(place, merged.info.get("maps") or {}, [run]):
         old.append("map changed since the merge")
+    if locked:
+        old.append("lock changed: merge again")
     row = Listed(run, ingested=utc(made_ns, ISO), stale=tuple(old))
     if home is not None:
         row = replace(row, component=home.id, runs=len(home.poses), site=home.site or None)

@@ -129,11 +129,18 @@ def matching(place: Workspace, pairs: int, kept: Kept, where: MatchOptions) -> I
         read = replace(place, root=root).read_map
         try:
             yield Means(where.workers(pairs), read, kept, on_pair, detail)
-        except KeyboardInterrupt:
-            tell("stopped, nothing written; what was matched is kept: run again to go on")
-            raise
         finally:
             kept.flush()
+
+
+@contextmanager
+def resumable() -> Iterator[None]:
+    """Say of a merge that is interrupted, by a signal as well, what is kept."""
+    try:
+        yield
+    except (KeyboardInterrupt, SystemExit):
+        tell("stopped; what was matched is kept: run again to go on")
+        raise
 
 
 def match_share(place: Workspace, settings: RobustSettings, where: MatchOptions) -> None:

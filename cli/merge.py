@@ -15,7 +15,7 @@ from ..topology.errors import DataError, DocumentError, UsageError
 from ..topology.wording import counted, listed
 from ..viz.pages import describe_pairs
 from .journal import note
-from .matching import MatchOptions, match_share, read_maps
+from .matching import MatchOptions, match_share, read_maps, resumable
 from .merges import last_merge, made
 from .options import (
     FalseMergeRate,
@@ -71,6 +71,7 @@ class MethodOptions:
 
 @verb
 def merge(
+    context: typer.Context,
     runs: Annotated[
         list[str] | None, argument("RUN", "Runs to merge, by name.", autocompletion=complete_run)
     ] = None,
@@ -121,9 +122,10 @@ def merge(
                 "--shard fills the cache, from which any merge is made; "
                 "--output goes with the last merge --all"
             )
-        match_share(place, how.settings(paper).robust, where)
+        with resumable():
+            match_share(place, how.settings(paper).robust, where)
         return
-    with place.held():
+    with resumable(), place.held():
         chosen = place.chosen_runs(runs or [], everything)
         last = None if replace_last else _merged_before(place, chosen, everything)
         maps, broken = read_maps(place, chosen)
@@ -134,7 +136,7 @@ def merge(
         result, moved = made(place, maps, how.settings(paper), last, where)
         runs_of = counted(sum(len(c.poses) for c in result.components), "run")
         summary = "; ".join([f"{place.merge}: {runs_of}, {describe_pairs(result)}", *moved])
-        note(place, "merge", f"{summary}{by_settings(place)}")
+        note(place, "merge", f"{summary}{by_settings(context, place)}")
     _show(result, place)
     for each in moved:
         say_folded(each)
@@ -183,7 +185,7 @@ def _show(result: MergeResult, place: Workspace) -> None:
         warn(text)
     _show_pairs(result)
     say(f"{place.merged_json}")
-    say(describe_pairs(result))
+    say_folded(describe_pairs(result))
     _show_sites(result, place)
     name = () if place.merge == MERGED else (place.merge,)
     say(f"{place.merged_rrd}  (look at it: {place.call('view', *name)})")
@@ -222,9 +224,8 @@ def _open_because(pair: PairVerdict) -> str:
 
 
 def _show_sites(result: MergeResult, place: Workspace) -> None:
-    """Print a line for each site of several runs, the largest first, and one for runs that stand
-    alone."""
-    sites = sorted((c for c in result.components if len(c.poses) > 1), key=lambda c: -len(c.poses))
+    """Print a line for each site, the largest first, and one for runs that stand alone."""
+    sites = sorted((c for c in result.components if c.is_site), key=lambda c: -len(c.poses))
     home = home_of(sites[:MOST_SHOWN])
     weakest = weakest_links(result.verdicts, home)
     for site in sites[:MOST_SHOWN]:
@@ -234,7 +235,7 @@ def _show_sites(result: MergeResult, place: Workspace) -> None:
     if len(sites) > MOST_SHOWN:
         more = counted(len(sites) - MOST_SHOWN, "more site")
         say(f"and {more}: {place.call('list')}")
-    alone = [c.alone for c in result.components if len(c.poses) == 1]
+    alone = [run for c in result.components if not c.is_site for run in c.poses]
     if alone:
         say_folded(f"alone: {listed(sorted(alone), MOST_SHOWN)}")
 
@@ -252,8 +253,8 @@ def _next_steps(result: MergeResult, place: Workspace) -> Iterator[str]:
         pairs = f"{counted(open_, 'pair')} {'is' if open_ == 1 else 'are'} open"
         yield f"{pairs}; what to record to settle most: {place.call('next', *place.of_merge)}"
     if place.merge == MERGED:
-        page, graphs = place.call("report"), place.call("export", "--format", "nav2")
-        yield f"all on one page: {page}; route graphs: {graphs}"
+        yield f"all on one page: {place.call('report')}"
+        yield f"route graphs: {place.call('export', '--format', 'nav2')}"
 
 
 def _document(place: Workspace, result: MergeResult) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from typing import Annotated
 
 from ..merge.drive import Drive, Undriven, drive_to_document
 from ..merge.drives import drives, never_driven
-from ..merge.result import MergeResult, Standing
+from ..merge.result import Component, MergeResult, Standing
 from ..topology.errors import UsageError
 from ..topology.wording import counted
 from ..viz.exports.drives import drives_csv, drives_geojson
@@ -24,7 +24,7 @@ PLANS, PICTURES = (".csv", ".geojson"), (".svg", ".png")
 @verb
 def next_drives(
     site: Annotated[
-        str | None, argument("SITE", "Only drives that begin at this site, or join it.")
+        str | None, argument("SITE|RUN", "Only drives that begin at this site, or join it.")
     ] = None,
     most: Annotated[int, option("--drives -n N", "How many drives to list.", min=1)] = 5,
     output: Annotated[
@@ -59,8 +59,10 @@ def next_drives(
         if checked_output(path).suffix.lower() not in PLANS + PICTURES:
             raise UsageError(f"{path}: a plan's name ends in .svg, .png, .csv or .geojson")
     result = place.read_result()
-    found = drives(result, most, place.component(result, site))
-    shown = {c.name for c in result.components} if site is None else {site}
+    component = place.component(result, site)
+    found = drives(result, most, component)
+    about = next((c for c in result.components if c.id == component), None)
+    shown = {c.name for c in result.components} if about is None else {about.name}
     left = [] if found else [b for b in never_driven(result) if b.site in shown]
     plans = {p: _plan(p, found, left, result, shown, place, theme) for p in output or ()}
     write_files(plans)
@@ -68,9 +70,9 @@ def next_drives(
         say_json([drive_to_document(d) for d in found])
         return
     if not found:
-        for line in nothing_worth(result, shown, place):
+        for line in nothing_worth(result, shown, place, about):
             say_folded(line, indent="  ")
-    for line in _lines(found, result, place) if found else ():
+    for line in _lines(found, result, place, about) if found else ():
         say(line)
     for path in output or ():
         say(f"{path}")
@@ -80,10 +82,12 @@ def next_drives(
         say(f"on a map with numbers: {plan} (waypoints: plan.csv, plan.geojson)")
 
 
-def _lines(found: Sequence[Drive], result: MergeResult, place: Workspace) -> list[str]:
+def _lines(
+    found: Sequence[Drive], result: MergeResult, place: Workspace, about: Component | None
+) -> list[str]:
     out = []
     if all(drive.onto is None for drive in found):
-        why = _not_to_settle(result, place) or "no pair is open"
+        why = _not_to_settle(result, place, about) or _none_open(about)
         out += folded(f"{why}; these drives lead to branches that nobody drove", indent="  ")
     for k, drive in enumerate(found, 1):
         where, settles = drive.words
@@ -94,15 +98,18 @@ def _lines(found: Sequence[Drive], result: MergeResult, place: Workspace) -> lis
     return [*out, "after the drive, ingest its log and merge again"]
 
 
-def nothing_worth(result: MergeResult, shown: Collection[str], place: Workspace) -> list[str]:
-    """That no drive is worth it, why, and where the maps of the sites shown are not complete."""
+def nothing_worth(
+    result: MergeResult, shown: Collection[str], place: Workspace, about: Component | None = None
+) -> list[str]:
+    """That no drive is worth it, why, and where the maps of the sites shown are not complete.
+    about: the only site that drives were asked for."""
     why = (
-        "no drive is proposed: no pair of runs is in doubt, and none by a branch that nobody drove "
-        "is likely to show that two sites are one place"
+        f"no drive is proposed: {_none_open(about)}, and none by a branch that "
+        "nobody drove is likely to show that two sites are one place"
     )
     if len(result.components) == 1:
         why = "there is one site: nothing is left to join"
-    why = _not_to_settle(result, place) or why
+    why = _not_to_settle(result, place, about) or why
     ways: dict[str, dict[int, None]] = {}
     for branch in never_driven(result):
         if branch.site in shown:
@@ -115,9 +122,17 @@ def nothing_worth(result: MergeResult, shown: Collection[str], place: Workspace)
     return out
 
 
-def _not_to_settle(result: MergeResult, place: Workspace) -> str:
-    """That no drive settles the pairs that are open, and what does; "" if none is."""
-    open_ = result.standings()[Standing.AMBIGUOUS]
+def _none_open(about: Component | None) -> str:
+    """That no pair is open, or none of those of a site."""
+    return "no pair is open" if about is None else f"no open pair concerns {about.name}"
+
+
+def _not_to_settle(result: MergeResult, place: Workspace, about: Component | None) -> str:
+    """That no drive settles the pairs that are open, those of a site if there is one, and what
+    does; "" if none is."""
+    runs = result.home if about is None else about.poses
+    pairs = [v for v in result.verdicts if v.standing is Standing.AMBIGUOUS]
+    open_ = sum(v.a in runs or v.b in runs for v in pairs)
     if not open_:
         return ""
     return (

@@ -22,6 +22,7 @@ from typer.exceptions import TyperException
 from ..ingest.remote.path import LogPath, log_path
 from ..topology.errors import DocumentError, LogError, TopobatchError, UsageError
 from ..topology.files import read_bytes
+from .output import remember
 from .workspace import MERGED, USUAL, Workspace
 
 if TYPE_CHECKING:  # what takes a second to load
@@ -96,7 +97,18 @@ def _with_settings(context: typer.Context, workspace: Path) -> Path:
             why = f"{_option(name)}: {error.format_message()}"
             raise DocumentError(f"{place.settings_toml}: {why}") from error
     context.default_map = settings
+    remember(place.settings_toml, lambda: (f"--{_option(n)}" for n in taken(context, REMEMBERED)))
     return workspace
+
+
+GIVEN, REMEMBERED = ("COMMANDLINE", "ENVIRONMENT"), ("DEFAULT_MAP",)
+"""Where options come from: the call, and settings.toml."""
+
+
+def taken(context: typer.Context, sources: Sequence[str]) -> dict[str, Any]:
+    """The options that a workspace may remember, as far as a command took them from there."""
+    found = ((name, context.get_parameter_source(name)) for name in NAMES)
+    return {name: context.params[name] for name, at in found if at and at.name in sources}
 
 
 WorkspaceOption = Annotated[
@@ -363,10 +375,12 @@ def settings_text(settings: Mapping[str, Any]) -> str:
     return "".join(f"{_option(name)} = {text}\n" for name, text in texts.items())
 
 
-def by_settings(place: Workspace) -> str:
-    """What follows the line of a call in the journal: the settings that it could take."""
-    settings = describe_settings(settings_of(place))
-    return f"; {place.settings_toml.name}: {settings}" if settings else ""
+def by_settings(context: typer.Context, place: Workspace) -> str:
+    """What follows the line of a call in the journal: the options that it gave, of those that a
+    workspace may remember, and those that it took from there."""
+    given, rest = (describe_settings(taken(context, each)) for each in (GIVEN, REMEMBERED))
+    parts = (given, rest and f"{place.settings_toml.name}: {rest}")
+    return "".join(f"; {part}" for part in parts if part)
 
 
 def describe_settings(settings: Mapping[str, Any]) -> str:

@@ -16,7 +16,7 @@ import re
 import shutil
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -30,6 +30,10 @@ from ..topology.errors import DataError, UsageError
 
 WIDTH, NARROWEST = 79, 40
 """Line width of sentences where no terminal tells its own, and its least: tables need as much."""
+
+LEAST_FOR_AMOUNTS = 60
+"""Columns of a terminal that hold the longest of these ("12/22 logs, 123.4 of 456.7 MB"), the time
+left and a short bar."""
 
 COLOURS = {
     "merged": "green",
@@ -48,12 +52,14 @@ LONGEST_LINE = 8000
 
 @dataclass(slots=True)
 class _Call:
-    """How the running command shows what it does. bar: rich's, below which lines are printed."""
+    """How the running command shows what it does. bar: rich's, below which lines are printed;
+    settings: of its workspace, a file, and what gives the options that the command took from it."""
 
     quiet: bool = False
     verbose: bool = False
     started_s: float = 0.0
     bar: Any = None
+    settings: tuple[Path, Callable[[], Iterable[str]]] | None = None
 
 
 _call = _Call()
@@ -97,10 +103,8 @@ def painted(text: str) -> str:
 
 
 def width() -> int:
-    """Width of lines: that of the terminal, if it is not too narrow."""
-    if not sys.stdout.isatty():
-        return WIDTH
-    return max(shutil.get_terminal_size().columns - 1, NARROWEST)
+    """Width of lines: that of the terminal, or by COLUMNS, if it is not too narrow."""
+    return max(shutil.get_terminal_size((WIDTH + 1, 0)).columns - 1, NARROWEST)
 
 
 def say(text: str = "") -> None:
@@ -113,6 +117,11 @@ def say_folded(text: str, indent: str = "      ") -> None:
     """Print a long line of the result as several."""
     for line in folded(text, indent):
         say(line)
+
+
+def say_row(line: str) -> None:
+    """Print a line of a table; on a terminal folded, for other programs on one line."""
+    (say_folded if sys.stdout.isatty() else say)(line)
 
 
 def folded(text: str, indent: str = "      ") -> list[str]:
@@ -152,8 +161,22 @@ def warn(message: str) -> None:
 
 
 def complain(message: str) -> None:
-    """Print an error."""
-    _emit(styled("error: ", fg="red", bold=True) + plain(message), err=True)
+    """Print an error; of options that it names and the call does not, where they are set."""
+    _emit(styled("error: ", fg="red", bold=True) + plain(f"{message}{_set_in(message)}"), err=True)
+
+
+def remember(path: Path, taken: Callable[[], Iterable[str]]) -> None:
+    """Have errors name the file that sets an option. taken: gives the options ("--time") that the
+    command took from it."""
+    _call.settings = path, taken
+
+
+def _set_in(message: str) -> str:
+    """Which options that a message names are set in the file of settings; "" if none is."""
+    path, taken = _call.settings or ("", tuple)
+    named = [each for each in taken() if re.search(rf"{each}(?![\w-])", message)]
+    are = "is" if len(named) == 1 else "are"
+    return f"; {' and '.join(named)} {are} set in {path}" if named else ""
 
 
 def _emit(line: str, *, err: bool = False) -> None:
@@ -260,13 +283,21 @@ def progress(label: str, total: int, unit: str = "") -> Iterator[Advance]:
         TimeElapsedColumn,
         TimeRemainingColumn,
     )
+    from rich.table import Column
 
     what, amount = (
         TextColumn(f"{{task.{name}}}", markup=False) for name in ("description", "fields[amount]")
     )
-    clock = TimeRemainingColumn(elapsed_when_finished=True) if total else TimeElapsedColumn()
-    columns = (what, BarColumn(), amount, TextColumn("left:" if total else ""), clock)
-    bar = Progress(*columns, console=Console(stderr=True), transient=True)
+    whole = Column(no_wrap=True)  # so that the bar is what is narrower
+    clock = (
+        TimeRemainingColumn(elapsed_when_finished=True, table_column=whole)
+        if total
+        else TimeElapsedColumn(table_column=whole)
+    )
+    console = Console(stderr=True)
+    amounts = (amount,) if console.width >= LEAST_FOR_AMOUNTS else ()
+    columns = (what, BarColumn(), *amounts, TextColumn("left:" if total else ""), clock)
+    bar = Progress(*columns, console=console, transient=True)
     task = bar.add_task(label, total=total or None, amount="")
 
     def advance(done: int, words: str = "", doing: str = "", kept: int = 0) -> None:

@@ -20,8 +20,8 @@ from ..topology.topomap import TopoMap
 from ..topology.wording import counted
 from .matching import kept_results, settings_of
 from .next_drives import nothing_worth
-from .options import HereWithMerge, argument, verb
-from .output import Advance, begin, checked_output, complain, progress, say, write_files
+from .options import HereWithMerge, QuietOption, argument, verb
+from .output import Advance, begin, checked_output, complain, progress, say, show, write_files
 from .stale import changed_since, describe_changed
 from .version import VERSION
 from .workspace import MERGED, Workspace
@@ -40,6 +40,7 @@ def report(
     ] = None,
     *,
     place: HereWithMerge,
+    quiet: QuietOption = False,
 ) -> None:
     """Write a page about all runs and their merge, for a browser.
 
@@ -52,6 +53,7 @@ def report(
       topobatch report
       topobatch report site.html
     """
+    show(quiet=quiet)
     page = place.root / "report.html" if out is None else checked_output(out)
     if page.suffix.lower() not in (".html", ".htm"):
         raise UsageError(f"{page}: a report's name ends in .html")

@@ -6,6 +6,7 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from ..merge.result import MergeResult
 from ..topology.errors import DocumentError
 from ..topology.files import encoded, opened
 from ..topology.wording import listed
@@ -29,6 +30,14 @@ def changed_since(place: Workspace, merged: Mapping[str, str], runs: Sequence[st
     """
     now = contents(place, [run for run in runs if run in merged])
     return [run for run, content in now.items() if content != merged[run]]
+
+
+def locked_since(place: Workspace, result: MergeResult) -> list[tuple[str, str]]:
+    """The pairs of its runs whose locks were set or cleared since a merge."""
+    runs = result.home.keys()
+    now = {(lock.a, lock.b): lock.decision for lock in place.locks() if runs >= {lock.a, lock.b}}
+    then = {(v.a, v.b): v.locked for v in result.verdicts if v.locked is not None}
+    return sorted(pair for pair in {*now, *then} if now.get(pair) != then.get(pair))
 
 
 def describe_changed(runs: Sequence[str]) -> str:

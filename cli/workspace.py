@@ -233,13 +233,15 @@ class Workspace:
     def component(
         self, result: MergeResult, site: str | None, number: int | None = None
     ) -> int | None:
-        """The component that is a site, or has a number; None if neither is given. UsageError if
-        there is none, or both are given."""
+        """The component that is a site or that of a run, or has a number; None if neither is given.
+        UsageError if there is none, or both are given."""
         if site is not None and number is not None:
             raise UsageError("name a site or a --component, not both")
         ids = {c.name: c.id for c in result.components}
         if site is None and number in (None, *ids.values()):
             return number
+        if site in result.home and site not in ids:
+            return result.home[site]
         if site is None or site not in ids:
             named = f"component {number}" if site is None else f"site {site!r}"
             raise UsageError(

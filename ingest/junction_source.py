@@ -59,6 +59,21 @@ def junction_source(
     )
 
 
+def source_to_read(
+    counts: Mapping[Channel, int], settings: ReadSettings, log: str
+) -> JunctionSource:
+    """`junction_source`; a UsageError names the topics of odometry as well, if there are several to
+    choose from."""
+    try:
+        return junction_source(counts, settings, log)
+    except UsageError as error:
+        try:
+            choose_odometry(counts, settings.odometry_topic, log)
+        except UsageError as other:
+            raise UsageError(f"{error}; {str(other).removeprefix(f'{log}: ')}") from error
+        raise
+
+
 def views_source(
     counts: Mapping[Channel, int], settings: ReadSettings, log: str
 ) -> JunctionSource | None:

@@ -13,7 +13,7 @@ from ..topology.odometry import Odometry
 from ..topology.run import Detections, Run
 from .frames import fixed_transforms
 from .inspection import LogInfo, TopicInfo, inspect_log
-from .junction_source import JunctionSource, junction_source, sensor_topics, views_source
+from .junction_source import JunctionSource, sensor_topics, source_to_read, views_source
 from .logs.finding import find_logs, with_parts_joined
 from .logs.grids import GridLog, last_grid
 from .logs.recording import (
@@ -110,7 +110,7 @@ def read_log(
     read = LogRead(recording, intake, findings.counts, settings, tuple(warnings), progress)
     read = replace(read, on_keyframes=on_keyframes)
     try:
-        source = junction_source(findings.counts, settings, log)
+        source = source_to_read(findings.counts, settings, log)
         found = READERS[source.way](read, source)
     except DataError as error:
         # The damage may be the reason.

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from ..topology.errors import LogError, UsageError
-from .junction_source import junction_source
+from .junction_source import source_to_read
 from .logs.fields import JunctionFields, fields_decoder
 from .logs.intake import Intake, decoder_for
 from .logs.messages import Channel, Findings, Survey, several
@@ -98,7 +98,7 @@ def acceptance(
 
 def _chosen(counts: Mapping[Channel, int], settings: ReadSettings, log: str) -> set[str]:
     """Topics of odometry and detections; scans are read separately, and need neither."""
-    source = junction_source(counts, settings, log)
+    source = source_to_read(counts, settings, log)
     detections = {source.choice.topic} if source.way == "topic" else set()
     if source.way == "grid":
         return set()

@@ -13,7 +13,7 @@ from textwrap import wrap
 import numpy as np
 
 from ..topology.arrays import FloatArray
-from ..topology.wording import counted
+from ..topology.wording import MOST_NAMES, counted
 from ..topology.wording import listed as names_listed
 from .decision import AGAINST, LINKS, Decision, Placement, Term, TermKind
 from .locks import DISCARDED, discarded
@@ -26,6 +26,9 @@ WIDTH = 79
 
 MOST_LINKS = 8
 """Rows of links by default: with them most decisions fit a terminal of 24 lines."""
+
+TITLE = "for (+) and against it (-)"
+"""Of the table of evidence; a narrower column of texts has the junctions in it as well."""
 
 LONGEST_NAME = 18
 """Longer names of runs are shortened in the middle."""
@@ -108,7 +111,13 @@ def because(decision: Decision) -> str:
         return decided
     if not decision.placements or not decision.placements[0].terms:
         nothing = "No significant match: no alignment of the two maps holds"
-        return f"{pair.reason.partition(': ')[2] if decision.placements else nothing}."
+        reason = f"{pair.reason.partition(': ')[2] if decision.placements else nothing}."
+        if pair.together:
+            one, other = (listed(side, MOST_NAMES) for side in pair.together)
+            reason += (
+                f" The evidence is that of the maps that were joined: of {one}; and of {other}."
+            )
+        return reason
     agree = agreement(decision.placements[0])
     if pair.accepted or decision.why:
         but = f", but {decision.why}" if decision.why else ""
@@ -155,7 +164,8 @@ def weakest_links(pairs: Iterable[PairVerdict], home: Mapping[str, int]) -> dict
         need = pair.threshold_bits
         if need is not None and pair.a in home and joined.merge(pair.a, pair.b):
             bits = describe_bits(pair.evidence_bits, need)
-            out[home[pair.a]] = f"; weakest link {pair.a} + {pair.b}, {bits}"
+            why = "joined by a lock" if pair.accepted_by == "lock" else bits
+            out[home[pair.a]] = f"; weakest link {pair.a} + {pair.b}, {why}"
     return out
 
 
@@ -285,6 +295,8 @@ def sum_label(decision: Decision) -> str:
     """Label of the sum of the terms, with the lead over the next best placement."""
     if discarded(decision.pair):
         return "what the match had, not counted"
+    if decision.pair.together:
+        return "evidence, of the maps that were joined"
     margin = decision.pair.margin_bits
     if len(decision.placements) < 2 or margin is None:
         return "evidence"
@@ -349,26 +361,30 @@ def _table(decision: Decision, links: int, width: int) -> list[str]:
     """The table of evidence, its sum and the requirements; the junctions of both on the right."""
     digits, count, pair = digits_of(decision), len(decision.placements), decision.pair
 
-    def line(cells: Sequence[str], text: str, a: str = "", b: str = "") -> str:
+    def line(cells: Sequence[str], text: str, a: str = "", b: str = "") -> list[str]:
         left = "".join(f"{cell:>8}" for cell in [*cells, *[""] * (count - len(cells))]) + "  "
         right = f" {a:>10} {b:>10}" if a or b else ""
-        return f"{left}{text:<{width - len(left) - len(right)}}{right}".rstrip()
+        room = width - len(left) - len(right)
+        if right and room < len(TITLE):
+            text, right, room = f"{text} ({a}, {b})", "", width - len(left)
+        first, *more = wrap(text, room, subsequent_indent="  ", break_long_words=False)
+        return [f"{left}{first:<{room}}{right}".rstrip(), *(" " * len(left) + m for m in more)]
 
     if not count:
         return _folded(f"{_threshold(decision)} bits needed: {needs(decision)}", width, "    ")
     head = ["this", "next"][:count] if count > 1 else ["bits"]
     names = (short(pair.a, 10), short(pair.b, 10))
-    out = ["", line(head, "for (+) and against it (-)", *names)]
-    for row in rows(decision, links):
+    shown = rows(decision, links)
+    out = ["", *(line(head, TITLE, *names) if shown else ())]
+    for row in shown:
         cells = ["" if bits is None else f"{bits:+z.{digits}f}" for bits in row.bits]
         text = row.text
         if row.level:  # a part of the sum above: its bits stand out of the column that adds up
             text, cells = f"{cells[0]:>7}  {text}", []
-        out.append(line(cells, text, row.a, row.b))
+        out += line(cells, text, row.a, row.b)
     sums = [f"= {shown_bits(p.alignment.evidence_bits, digits)}" for p in decision.placements]
-    out.append(line(sums, sum_label(decision)))
-    first, *more = wrap(f"needed: {needs(decision)}", width - 8 * count - 2, subsequent_indent="  ")
-    return [*out, line([_threshold(decision)], first), *(line([], each) for each in more)]
+    out += line(sums, sum_label(decision))
+    return out + line([_threshold(decision)], f"needed: {needs(decision)}")
 
 
 def named_views(term: Term) -> str:

@@ -244,6 +244,11 @@ class Component:
         return self.site or f"component {self.id}"
 
     @property
+    def is_site(self) -> bool:
+        """Whether it is called a site: it has several runs, or another name than its run."""
+        return len(self.poses) > 1 or self.site not in ("", *self.poses)
+
+    @property
     def alone(self) -> str:
         """A run that is merged with none, with the name of its site if that has another."""
         (run,) = self.poses
@@ -401,6 +406,14 @@ class MergeResult:
         """The site of every run, where it has a name."""
         return {run: c.site for c in self.components for run in c.poses if c.site}
 
+    @property
+    def described_sites(self) -> str:
+        """ "3 sites, 2 runs alone"."""
+        sites = sum(c.is_site for c in self.components)
+        rest = len(self.components) - sites
+        alone = f", {counted(rest, 'run')} alone" if rest else ""
+        return f"{counted(sites, 'site')}{alone}"
+
     def standings(self) -> dict[Standing, int]:
         """Number of pairs, listed or not, in each state."""
         count = Counter(pair.standing for pair in self.verdicts)
@@ -413,8 +426,9 @@ class MergeResult:
         """One line."""
         runs = sum(len(c.poses) for c in self.components)
         pairs = ", ".join(f"{n} {standing}" for standing, n in self.standings().items() if n)
-        sites = counted(len(self.components), "site")
-        return f"<merge of {counted(runs, 'run')}: {sites}; pairs: {pairs or 'none'}>"
+        return (
+            f"<merge of {counted(runs, 'run')}: {self.described_sites}; pairs: {pairs or 'none'}>"
+        )
 
     @property
     def threshold_bits(self) -> float | None:

@@ -84,7 +84,7 @@ def describe_pairs(result: MergeResult) -> str:
         f"{count[Standing.AMBIGUOUS]:,} ambiguous, "
         f"{count[Standing.UNRELATED]:,} unrelated"
         f"{f', {kept_out:,} kept out' if kept_out else ''}; "
-        f"{counted(len(result.components), 'site')}"
+        f"{result.described_sites}"
     )
 
 

@@ -76,7 +76,16 @@ def test_importing_it_loads_nothing() -> None:
 
 
 def test_ingest_takes_what_the_command_takes() -> None:
-    of_the_command = {"logs", "workspace", "jobs", "force", "quiet", "verbose", "as_json"}
+    of_the_command = {
+        "logs",
+        "workspace",
+        "jobs",
+        "force",
+        "quiet",
+        "verbose",
+        "as_json",
+        "context",
+    }
     offered = set(inspect.signature(library.ingest).parameters) - {"log"}
     assert offered == set(inspect.signature(command.ingest).parameters) - of_the_command
 
@@ -149,7 +158,7 @@ def test_the_notebook_runs(monkeypatch, capsys) -> None:
         if cell["cell_type"] == "code":
             exec("".join(cell["source"]), names)  # as a notebook does
     assert repr(names["maps"]).startswith("(<map of maze-1: 26 junctions, 29 corridors of 156 m>")
-    assert repr(names["result"]).startswith("<merge of 4 runs: 2 sites; pairs: 2 merged")
+    assert repr(names["result"]).startswith("<merge of 4 runs: 1 site, 1 run alone; pairs: 2 ")
     assert "12 junctions and 13 corridors agree" in capsys.readouterr().out
     picture = topobatch.draw(names["result"], names["maps"])
     assert picture._repr_svg_().startswith("<?xml")

@@ -45,10 +45,15 @@ def test_what_the_maps_say_as_well_is_no_warning(topobatch, workspace):
 
 
 def test_what_may_be_a_copy_is_said_by_the_merge(topobatch, workspace):
+    assert topobatch("merge", "--all", "-j", 1, "-w", workspace).code == 0
     done = topobatch("lock", "rows2", "rows1", "--same", "-w", workspace)
     assert (done.code, done.err) == (0, "")
+    listed = topobatch("list", "-w", workspace).out
+    assert listed.count("lock changed: merge again") == 2
     told = topobatch("merge", "--all", "-j", 1, "-w", workspace)
     assert f"warning: rows1 and rows2 are joined by a lock; by their maps {MAYBE_COPY}" in told.err
+    assert "weakest link rows1 + rows2, joined by a lock" in " ".join(told.out.split())
+    assert "lock changed" not in topobatch("list", "-w", workspace).out
     entries = json.loads((workspace / "merged.json").read_bytes())["merges"]
     (entry,) = (e for e in entries if (e["a"], e["b"]) == ("rows1", "rows2"))
     assert entry["accepted_by"] == "lock"

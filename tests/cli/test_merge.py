@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import shutil
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,7 +12,7 @@ import pytest
 from topobatch.cli.merge import MOST_SHOWN, _show
 from topobatch.cli.output import show
 from topobatch.cli.workspace import Workspace
-from topobatch.merge.result import Alignment, PairVerdict, Standing, Verdict
+from topobatch.merge.result import Alignment, Component, MergeResult, PairVerdict, Verdict
 from topobatch.simulation.settings import ScenarioSettings
 
 from .conftest import simulated_maps
@@ -227,13 +226,12 @@ def test_a_merge_as_json_is_the_same_whether_or_not_it_was_there(topobatch, work
     assert "--json" in done.error(2)
 
 
-def test_an_interrupted_merge_says_how_to_go_on(topobatch, workspace, monkeypatch):
-    from topobatch.merge import merging
-
+@pytest.mark.parametrize("where", ["merge.merging.merge_maps", "cli.merge.read_maps"])
+def test_an_interrupted_merge_says_how_to_go_on(topobatch, workspace, monkeypatch, where):
     def interrupted(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(merging, "merge_maps", interrupted)
+    monkeypatch.setattr(f"topobatch.{where}", interrupted)
     done = topobatch("merge", "--all", "-w", workspace)
     assert done.code == 130
     assert "what was matched is kept: run again to go on" in done.err
@@ -381,16 +379,12 @@ def test_a_merge_ends_with_its_sites_and_what_to_do_next(tmp_path, monkeypatch):
     ]  # fmt: skip
     best = Alignment(np.zeros(3), 20.0, np.zeros((1, 2), np.int64), 0.1)
     pairs.append(PairVerdict(a, "run9", Verdict.MERGED, True, 20.0, "helped", best))
-    sites = [("north", [f"n{k:02}" for k in range(16)]), ("site-run1", [a, "run9"]), ("b", ["b"])]
-    merge = SimpleNamespace(
-        components=[
-            SimpleNamespace(id=k, name=name, poses=dict.fromkeys(runs), alone=f"{runs[0]} (lab)")
-            for k, (name, runs) in enumerate(sites)
-        ],
-        verdicts=pairs,
-        info={},
-        standings=lambda: dict.fromkeys(Standing, 0) | {Standing.AMBIGUOUS: len(bits)},
-    )
+    sites = {"north": [f"n{k:02}" for k in range(16)], "site-run1": [a, "run9"], "b": ["b"]}
+    sites["lab"] = ["c"]
+    components = [
+        Component(k, dict.fromkeys(own), site=s) for k, (s, own) in enumerate(sites.items())
+    ]
+    merge = MergeResult(components, None, pairs)
     shown = []
     for say in ("say", "say_folded"):
         monkeypatch.setattr(f"topobatch.cli.merge.{say}", shown.append)
@@ -399,13 +393,17 @@ def test_a_merge_ends_with_its_sites_and_what_to_do_next(tmp_path, monkeypatch):
     assert shown[0] == "  b ? c1: ambiguous: 9.0 bits, 12.0 needed; too little"
     assert shown[MOST_SHOWN] == "  and 2 more ambiguous: --verbose lists them"
     assert shown[MOST_SHOWN + 1] == "  to settle b ? c1: drive 1"
-    assert shown[-8].startswith("171 pairs: 0 merged, 10 ambiguous")
-    assert shown[-7] == "site north: 16 runs: n00, n01, n02, n03, n04, n05, n06, n07 and 8 more"
-    assert shown[-6:-4] == ["site site-run1: 2 runs: run1, run9", "alone: b (lab)"]
-    assert shown[-3:] == [
+    assert shown[-10].startswith("190 pairs: 1 merged, 10 ambiguous")
+    assert shown[-10].endswith("; 3 sites, 1 run alone")
+    assert shown[-9] == "site north: 16 runs: n00, n01, n02, n03, n04, n05, n06, n07 and 8 more"
+    assert shown[-8:-5] == [
+        "site site-run1: 2 runs: run1, run9", "site lab: 1 run: c", "alone: b"
+    ]  # fmt: skip
+    assert shown[-4:] == [
         "name a site: topobatch site run1 NAME",
         "10 pairs are open; what to record to settle most: topobatch next",
-        "all on one page: topobatch report; route graphs: topobatch export --format nav2",
+        "all on one page: topobatch report",
+        "route graphs: topobatch export --format nav2",
     ]
     assert "  run1 + run9: helped" not in shown
     show(verbose=True)

@@ -6,12 +6,15 @@ import csv
 import json
 import shutil
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from topobatch.cli.next_drives import nothing_worth
 from topobatch.cli.workspace import Workspace
+from topobatch.merge.result import Standing
 from topobatch.viz import draw
 
 
@@ -101,6 +104,17 @@ def test_a_plan_for_one_site(place, topobatch) -> None:
     own = json.loads(topobatch("next", site, "-n", 1, "--json", "-w", place).out)
     assert len(own) == 1
     assert site in (own[0]["site"], own[0]["onto"])
+    # A run stands for its site. Pairs of other sites are not its own.
+    result = Workspace(place).read_result()
+    here = next(c for c in result.components if c.name == site)
+    for run in here.poses:
+        assert json.loads(topobatch("next", run, "-n", 1, "--json", "-w", place).out) == own
+    far = tuple(v for v in result.verdicts if not {v.a, v.b} & {*here.poses})
+    assert any(v.standing is Standing.AMBIGUOUS for v in far)
+    elsewhere = replace(result, verdicts=far)
+    (why, *_) = nothing_worth(elsewhere, {site}, Workspace(place), here)
+    assert f"no open pair concerns {site}" in why
+    assert "open, but no drive" in nothing_worth(elsewhere, {site}, Workspace(place))[0]
 
 
 def test_the_report_shows_it(place, topobatch) -> None:

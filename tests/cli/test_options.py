@@ -20,7 +20,12 @@ def test_calls_need_not_repeat_what_was_said_once(topobatch, logs, tmp_path) -> 
     done = topobatch("init", "--odometry-topic", "/none", "--false-merge-rate", "0.01", "-w", ws)
     assert done.code == 0
     assert done.out.splitlines()[-1] == str(ws / "settings.toml")
-    assert "/none" in topobatch("ingest", logs["mcap"], "-w", ws).error(1)
+    file = ws / "settings.toml"
+    error = topobatch("ingest", logs["mcap"], "-w", ws).error(1)
+    assert "/none" in error
+    assert error.endswith(f"; --odometry-topic is set in {file}")
+    wrong = ("ingest", logs["mcap"], "--odometry-topic", "/wrong", "-w", ws)
+    assert "settings.toml" not in topobatch(*wrong).error(1)
     assert "/none" in topobatch("info", logs["mcap"], "-w", ws).out
     # A call's own option comes first.
     call = ("ingest", logs["mcap"], logs["other"], "--odometry-topic", "/odom", "-w", ws)
@@ -33,8 +38,14 @@ def test_calls_need_not_repeat_what_was_said_once(topobatch, logs, tmp_path) -> 
     )
     texts = [e["text"] for e in json.loads(topobatch("history", "--json", "-w", ws).out)]
     assert texts[0] == "odometry-topic = /none, false-merge-rate = 0.01"
-    assert all(text.endswith(f"settings.toml: {texts[0]}") for text in texts[1:])
-    assert len(texts) == 3
+    # What was used.
+    assert texts[1].endswith("; odometry-topic = /odom")
+    assert texts[2].endswith("; settings.toml: false-merge-rate = 0.01")
+    assert topobatch("merge", "--all", "--false-merge-rate", "0.1", "-w", ws).code == 0
+    assert "; false-merge-rate = 0.1\n" in topobatch("history", "-n", 1, "-w", ws).out
+    file.write_text("laser-pose = 'a'")
+    error = topobatch("ingest", logs["mcap"], "-w", ws).error(2)
+    assert error.endswith(f"--laser-pose is set in {file}")
 
 
 def test_init_adds_to_what_is_remembered_or_forgets_it(topobatch, tmp_path) -> None:

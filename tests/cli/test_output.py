@@ -15,6 +15,7 @@ from topobatch.cli.output import (
     plain,
     progress,
     say,
+    say_row,
     show,
     warn,
     width,
@@ -65,11 +66,16 @@ def test_verdicts_are_coloured_on_a_terminal_unless_that_is_unwanted(monkeypatch
     assert painted("a + b: merged") == "a + b: merged"
 
 
-def test_lines_of_a_very_narrow_terminal_have_room_for_a_table(monkeypatch):
+def test_lines_of_a_very_narrow_terminal_have_room_for_a_table(monkeypatch, capsys):
+    row = "  run1" + " " * 40 + "a long text"
+    say_row(row)
     monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
     for columns, wide in ((8, NARROWEST), (100, 99)):
         monkeypatch.setenv("COLUMNS", str(columns))
         assert width() == wide
+    monkeypatch.setenv("COLUMNS", "40")
+    say_row(row)
+    assert capsys.readouterr().out == f"{row}\n  run1\n      a long text\n"
 
 
 def test_where_nothing_can_be_written_another_file_is_asked_for(monkeypatch):
@@ -81,18 +87,21 @@ def test_where_nothing_can_be_written_another_file_is_asked_for(monkeypatch):
         write_files({Path("ro/page.html"): "text"})
 
 
-def test_a_bar_tells_the_speed_of_fresh_work(monkeypatch, capsys):
+@pytest.mark.parametrize(
+    ("columns", "amount"), [(120, "4/30 logs left: "), (40, "━\x1b[0m left: ")]
+)
+def test_a_bar_tells_the_speed_of_fresh_work(monkeypatch, capsys, columns, amount):
     now = [0.0]
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     monkeypatch.setattr("rich.console.monotonic", lambda: now[0])
-    monkeypatch.setenv("COLUMNS", "120")
+    monkeypatch.setenv("COLUMNS", f"{columns}")
     show()
     with progress("ingesting", 190) as advance:
         for seconds in range(5):
             now[0] = seconds
             advance(96 + seconds, f"{seconds}/30 logs", kept=96)
     shown = capsys.readouterr().err
-    assert "4/30 logs left: " in shown
+    assert amount in shown
     assert "0:01:30" in shown
     with progress("writing", 0):
         now[0] += 20

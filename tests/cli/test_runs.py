@@ -88,6 +88,7 @@ def test_a_discarded_run_leaves_nothing(topobatch, merged, two_buildings, tmp_pa
     assert topobatch("export", gone, "-f", "g2o", "-w", merged).code == 0
     done = topobatch("discard", gone, "-w", merged)
     assert done.code == 0, done
+    assert f"{gone} comes back when its log is ingested again\n" in done.out
     never = tmp_path / "never"
     shutil.copytree(two_buildings, never)
     (never / "maps" / f"{gone}.json").unlink()
@@ -291,6 +292,13 @@ def test_info_of_several_logs(topobatch, logs, tmp_path):
     assert sum(": run " in line for line in shown.out.splitlines()) == 2
     for words in ("nav_msgs/msg/Odometry", "odometry: ", "junctions: "):
         assert shown.out.count(words) == 2
+    for k in range(9):
+        shutil.copy(logs["mcap"], tmp_path / f"log{k}.mcap")
+    head, *rows, last = topobatch("info", tmp_path).out.splitlines()
+    assert head.split() == ["run", "format", "MB", "seconds", "used", "problem"]
+    assert [row.split()[0] for row in rows] == [f"log{k}" for k in range(9)]
+    assert all(row.endswith("junctions, odometry") for row in rows)
+    assert last.startswith("9 logs: 9 usable")
     bad = topobatch("info", logs["mcap"], tmp_path / "gone.mcap", "--json")
     assert bad.code == 1
     assert len(json.loads(bad.out)) == 1

@@ -104,12 +104,14 @@ def test_the_calls_that_cannot_be(place, topobatch) -> None:
         (("site", "nobody", "north"), "no run or site named nobody"),
         (("site", a[0], b[0]), "a run is called so"),
         (("site", a[0], "merged"), "a merge is called so"),
+        (("rename", b[0], one), "a site is called so"),
         (("site", a[0], "x/y"), "must work as a file name"),
         (("site", a[0], "x:y"), "without a colon"),
         (("changes", "nowhere"), "there is no site 'nowhere'; there are: "),
         (("export", "-f", "nav2", "--site", "nowhere"), "there is no site 'nowhere'"),
         (("export", "-f", "nav2", "--site", one, "--component", 0), "not both"),
         (("export", a[0], "-f", "nav2", "--site", one), "--site goes with the merged map"),
+        (("export", "-f", "csv", "-f", "nav2"), "one --format; 2 are given: csv, nav2"),
         (("merge", a[0], "--output", "sites"), "something else is called so"),
     ):
         assert told in topobatch(*call, "-w", place).error(2), call

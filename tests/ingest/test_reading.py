@@ -56,6 +56,11 @@ def test_two_candidates_ask_for_the_flag(logs, tmp_path, container):
     assert any("--odometry-topic" in text for text in inspect_log(path).problems)
     chosen = read_run(path, ReadSettings(odometry_topic="/right"))
     assert len(chosen.odometry) == 300
+    # Both questions at once.
+    both = [logs.relabelled(seen, topic=name) for name in ("/near", "/far")]
+    path = logs.bag(tmp_path / "b.bag", by_time(*two, *both))
+    with pytest.raises(UsageError, match=r"choose with --junction-topic; 2 .* --odometry-topic$"):
+        read_run(path)
 
 
 @pytest.mark.parametrize("ros1", [False, True])

@@ -89,6 +89,7 @@ ALL = [MERGED, AMBIGUOUS, UNRELATED, NOTHING]
 def test_a_decision_fits_a_terminal_with_the_verdict_first(told):
     shown = lines(told)
     assert max(map(len, shown)) <= WIDTH
+    assert max(map(len, lines(told, width=40))) <= 40
     assert shown[0].startswith(f"left and right: {told.pair.verdict}: ")
     assert "12.6 needed" in shown[0]
     assert any("log2(6 pairs / rate 0.001)" in line for line in shown)
@@ -149,6 +150,13 @@ def test_what_others_and_people_say_stands_in_the_headline():
     for accepted_by, words in by.items():
         told = replace(MERGED, pair=replace(MERGED.pair, accepted_by=accepted_by))
         assert words in headline(told)
+    sides = (("left", "mid"), ("right",))
+    by_maps = replace(MERGED.pair, accepted_by="components", together=sides, reason="x: 9 agree")
+    (placement, *_) = MERGED.placements
+    joined = replace(MERGED, pair=by_maps, placements=(replace(placement, terms=()),))
+    text = "\n".join(lines(joined, width=200))
+    assert "9 agree. The evidence is that of the maps that were joined: of left, mid; and" in text
+    assert "for (+) and against" not in text
     never = replace(UNRELATED, pair=replace(UNRELATED.pair, locked="never"))
     assert because(never) == "Locked apart by a person."
     assert lies(never).startswith("right would lie at ")
