@@ -268,8 +268,8 @@ def needs(decision: Decision) -> str:
     exact = need.pairs < 1 << MATCH.pair_digits
     pairs = counted(need.pairs, "pair") + ("" if exact else ", rounded up,")
     return (
-        f"log2({pairs} / rate {need.false_merge_rate:g}); at least {need.least_junctions} "
-        f"junctions; a lead of {need.lead_bits:g} bits"
+        f"log2({pairs} / rate {need.false_merge_rate:g}); "
+        f"{need.least_junctions} junctions; a lead of {need.lead_bits:g} bits"
     )
 
 
