@@ -52,12 +52,16 @@ the left one shows and hides runs."""
 
 def describe_map(topomap: TopoMap) -> str:
     """Counts of a map in a line."""
-    ways = topomap.turning_points
-    return (
-        f"{counted(len(topomap), 'junction')}, {counted(len(topomap.source), 'corridor')}, "
-        f"{topomap.length.sum():,.0f} m{to_turning_points(len(ways), ways.length.sum())}; "
-        f"{counted(len(topomap.observation_vertex), 'pass', 'passes')}"
-    )
+    ways, passes = topomap.turning_points, len(topomap.observation_vertex)
+    rooms = {kind: count for kind in ("room", "door") if (count := topomap.kind.count(kind))}
+    junctions = len(topomap) - sum(rooms.values())
+    parts = [
+        *([counted(junctions, "junction")] if junctions or not rooms else []),
+        *(counted(count, kind) for kind, count in rooms.items()),
+        counted(len(topomap.source), "corridor"),
+        f"{topomap.length.sum():,.0f} m{to_turning_points(len(ways), ways.length.sum())}",
+    ]
+    return ", ".join(parts) + (f"; {counted(passes, 'pass', 'passes')}" if passes else "")
 
 
 def describe_corridor(graph: Graph, edge: int) -> str:
