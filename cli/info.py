@@ -119,8 +119,8 @@ def _summarise(described: list[LogInfo], logs: int, *, brief: bool) -> None:
     usable = [found for found in described if found.usable]
     scanned = sum(any(t.messages and t.type_name in SCANS for t in o.topics) for o in usable)
     each = "; of each more: topobatch info LOG" if brief else ""
-    told = f"{len(usable)} usable, {scanned} of them with a laser or clouds"
-    say(f"{counted(logs, 'log')}: {told}{each}")
+    usage = f"{len(usable)} usable, {scanned} of them with a laser or clouds"
+    say(f"{counted(logs, 'log')}: {usage}{each}")
 
 
 def _trial(found: LogInfo, settings: ReadSettings, try_all: bool) -> ReadSettings | None:

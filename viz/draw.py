@@ -173,10 +173,7 @@ def _heading(
     too_many: whether junctions are too many for their numbers."""
     runs = counted(sum(len(c.poses) for c in shown.components), "run")
     alone = parts[0] if len(parts) == 1 else None
-    sites = sum(part.component.is_site for part in parts)
-    places = [counted(sites, "site")] if sites else []
-    places += [f"{len(parts) - sites} alone"] if len(parts) > sites else []
-    title = f"{runs}: {', '.join(places)}"
+    title = f"{runs}: {shown.described_sites}"
     if alone is not None and alone.component.site:
         title = f"{alone.component.site}: {runs}"
     title = title if drives is None else f"What to record next: {title}"

@@ -69,7 +69,7 @@ def test_maps_of_nothing_and_of_one_junction_can_be_drawn(empty_map, one_vertex)
 def test_a_merge_names_its_runs_in_their_colours(merge_of) -> None:
     result, _ = merge_of([["a", "b"], ["lone"]])
     texts, titles = seen(draw_merged(result, LIGHT))
-    assert {"3 runs: 1 site, 1 alone", "a", "b", "run that is merged with none"} <= set(texts)
+    assert {"3 runs: 1 site, 1 run alone", "a", "b", "run that is merged with none"} <= set(texts)
     assert "lone" in texts
     assert set(titles) == {"a", "b", "lone"}
     svg = draw_merged(result, LIGHT).as_bytes("svg").decode()
