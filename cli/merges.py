@@ -37,6 +37,7 @@ def made(
     """Merge maps and write the files of the merge; and what became of the sites of the last one and
     of the numbers of their junctions. last: the merge whose sites keep their names; new: new names
     of runs since then. The caller holds the workspace's lock."""
+    from ..merge.drives import drives
     from ..merge.merging import merge_maps
     from ..viz.merged_recording import write_merged_recording  # which loads rerun
 
@@ -62,7 +63,9 @@ def made(
         write_together(
             {
                 place.merged_json: partial(write_merged, result=result),
-                place.merged_rrd: partial(write_merged_recording, result=result, maps=maps),
+                place.merged_rrd: partial(
+                    write_merged_recording, result=result, maps=maps, drives=drives(result)
+                ),
             }
         )
     return result, moved

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import rerun.blueprint as rrb
 
+from ..merge.drive import Drive
 from ..merge.result import FusedMap, MergeResult, site_views
 from ..topology.arrays import FloatArray
 from ..topology.driven_branches import driven_branches
@@ -18,7 +19,7 @@ from ..topology.turning_vertices import with_turning_points
 from ..topology.wording import MOST_NAMES
 from .geometry import bounds, contradiction_spots, pen_m, strands
 from .pages import merge_page
-from .palette import DARK, LARGE, MEDIUM, SMALL, Colour, Order
+from .palette import DARK, LARGE, MEDIUM, RING, SMALL, Colour, Order
 from .parts import Part, colours_of, lay_out
 from .recording import (
     UP,
@@ -44,11 +45,13 @@ FUSED, RUNS = "map", "runs"
 """Entity roots of the two views of the components."""
 
 
-def write_merged_recording(path: Path, result: MergeResult, maps: Sequence[TopoMap]) -> None:
+def write_merged_recording(
+    path: Path, result: MergeResult, maps: Sequence[TopoMap], drives: Sequence[Drive] = ()
+) -> None:
     """Write the recording of a merge, `merged.rrd`, atomically.
 
-    maps: of every run in the result, in any order. Raises OSError if the file cannot be
-    written.
+    maps: of every run in the result, in any order; drives: what to record next. Raises OSError if
+    the file cannot be written.
     """
     by_name = {m.run: with_turning_points(m) for m in maps}
     colours = colours_of(result)
@@ -78,6 +81,7 @@ def write_merged_recording(path: Path, result: MergeResult, maps: Sequence[TopoM
                 recording.static(own, placed(pose))
                 _own_map(recording, own, by_name[run], colours[run], pen)
         _contradictions(recording, result, by_name, parts, pen)
+        _drives(recording, drives, parts, pen)
         _run_names(recording, result.fused, parts, colours)
         recording.static(("summary",), markdown(merge_page(result)))
         return _blueprint(sheet)
@@ -195,6 +199,18 @@ def _contradictions(
             values = {"contradiction": [words for _, words in spots]}
             look = {"radii": LARGE * pen / 2}
             recording.dots(path, at, Order.CONTRADICTION, DARK["against"], values, **look)
+
+
+def _drives(
+    recording: Recording, drives: Sequence[Drive], parts: Sequence[Part], pen: float
+) -> None:
+    """Write the ways of the drives to record next, in the frame of the site where they begin."""
+    for part in parts:
+        if own := [drive for drive in drives if drive.component == part.component.id]:
+            where, settles = zip(*(drive.words for drive in own), strict=True)
+            values, look = {"drive": where, "settles": settles}, {"radii": RING * pen / 2}
+            path, ways = (FUSED, part.name, "to record"), [drive.path for drive in own]
+            recording.lines(path, ways, Order.DRIVE, DARK["planned"], values, **look)
 
 
 def _own_map(recording: Recording, path: PathParts, m: TopoMap, colour: Colour, pen: float) -> None:

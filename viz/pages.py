@@ -42,7 +42,8 @@ MERGE_LEGEND = """\
 its name; junctions seen by several runs are white, others grey. **Red** dots:
 where joined runs contradict each other. Under the map: what the lasers of all runs saw, walls
 **dark grey**, free space a little brighter than what is not known. Short strokes: branches that
-nobody drove. **Runs**: each run's own map, laid into its component.
+nobody drove; wide violet lines: what to record next. **Runs**: each run's own map, laid into its
+component.
 
 The verdict on every pair of runs, with its evidence: `topobatch report`.
 

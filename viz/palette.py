@@ -29,6 +29,7 @@ class Order(IntEnum):
     RECORDED = auto()
     CORRECTED = auto()
     SIGHTING = auto()
+    DRIVE = auto()
     CORRIDOR = auto()
     UNEXPLORED = auto()
     JUNCTION = auto()

@@ -11,13 +11,14 @@ from topobatch.viz.merged_recording import write_merged_recording
 
 from ..topology.floors import floor, views_at
 from .readback import Readback
+from .test_report import drive
 
 Merge = Callable[..., tuple[MergeResult, list[TopoMap]]]
 
 
 def test_a_merge_is_written_and_read_back(tmp_path: Path, merge_of: Merge) -> None:
     result, maps = merge_of([["a", "b", "c"], ["d"]], ambiguous=[("c", "d")])
-    write_merged_recording(tmp_path / "merged.rrd", result, maps)
+    write_merged_recording(tmp_path / "merged.rrd", result, maps, [drive()])
     got = Readback(tmp_path / "merged.rrd")
     assert got.identity == ("topobatch", "merged")
     assert got.blueprints == 1
@@ -32,6 +33,8 @@ def test_a_merge_is_written_and_read_back(tmp_path: Path, merge_of: Merge) -> No
         assert f"/runs/component_0/{run}/corridors" in got.entities
     assert got.value("/map/component_0/corridors/a", "driven_by") == ["a, b, c"] * 5
     assert got.value("/map/names", "Points2D:labels") == ["a", "b", "c"]
+    (settles,) = got.value("/map/component_0/to\\ record", "settles")
+    assert settles == "joins north and c, if they are one place: settles 1 open pair"
 
 
 def test_maps_in_any_order_give_the_same_recording(tmp_path: Path, merge_of: Merge) -> None:

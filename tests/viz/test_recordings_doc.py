@@ -91,4 +91,5 @@ def test_its_tables_name_nothing_else(samples, section: str, file: str, of_scans
         "/map/grid",
         *(("/map/detection", "/map/detections") if of_scans else ()),
         "/map/component_N/contradictions",
+        "/map/component_N/to record",
     }
