@@ -19,7 +19,7 @@ from ..topology.turning_vertices import with_turning_points
 from ..topology.wording import MOST_NAMES
 from .geometry import bounds, contradiction_spots, pen_m, strands
 from .pages import merge_page
-from .palette import DARK, LARGE, MEDIUM, RING, SMALL, Colour, Order
+from .palette import DARK, LARGE, MEDIUM, SMALL, Colour, Order
 from .parts import Part, colours_of, lay_out
 from .recording import (
     UP,
@@ -208,7 +208,7 @@ def _drives(
     for part in parts:
         if own := [drive for drive in drives if drive.component == part.component.id]:
             where, settles = zip(*(drive.words for drive in own), strict=True)
-            values, look = {"drive": where, "settles": settles}, {"radii": RING * pen / 2}
+            values, look = {"drive": where, "settles": settles}, {"radii": LARGE * pen / 2}
             path, ways = (FUSED, part.name, "to record"), [drive.path for drive in own]
             recording.lines(path, ways, Order.DRIVE, DARK["planned"], values, **look)
 
