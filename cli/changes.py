@@ -64,7 +64,8 @@ def changes(
             with place.document_at_fault():
                 found += changes_of(result, one.id, maps)
             not_driven = [run for run, m in maps.items() if not is_driven(m)]
-            compared += [one] if len(maps) > len(not_driven) + 1 else []
+            if len(maps) > len(not_driven) + 1:
+                compared.append(one)
             saved += not_driven
     listed = numbered(c for c in found if everything or c.sure)
     shown = [change for _, change in listed]

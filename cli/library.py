@@ -142,7 +142,7 @@ def ingest(
 def _expanded(named: Iterable[str | os.PathLike[str]]) -> Iterator[str]:
     """The paths, with those that match a pattern in its place; LogError if none does."""
     for each in (os.fspath(path) for path in named):
-        if is_remote(each) or Path(each).exists() or not has_magic(each):
+        if is_remote(each) or not has_magic(each) or os.path.lexists(each):
             yield each
         elif found := sorted(glob(each, recursive=True)):
             yield from found
@@ -252,6 +252,8 @@ def explain(result: MergeResult, maps: Iterable[TopoMap], a: str, b: str) -> str
     for run in (a, b):
         _component_of(result, run)
     by_run = {m.run: m for m in maps}
+    if lost := {a, b} - by_run.keys():
+        raise UsageError(f"the map of {min(lost)} is not among the maps")
     with _on_one_thread():
         return "\n".join(lines(decision_of(Merge.of(result, by_run.__getitem__), a, b)))
 
@@ -262,7 +264,8 @@ def changes(result: MergeResult, maps: Iterable[TopoMap]) -> tuple[Change, ...]:
     result, maps: a merge, and the maps that it merged. The changes are given site by site, by
     decreasing evidence; ``words(site)`` of each are its description.
     """
-    return tuple(c for c in all_changes(result, {m.run: m for m in maps}) if c.sure)
+    by_run = {m.run: m for m in maps}
+    return tuple(c for c in all_changes(_of_merge(result), by_run) if c.sure)
 
 
 def next_drives(result: MergeResult, most: int = 5) -> tuple[Drive, ...]:
@@ -270,7 +273,7 @@ def next_drives(result: MergeResult, most: int = 5) -> tuple[Drive, ...]:
 
     ``words`` of each are where it is and what it would settle, ``path`` is its way.
     """
-    return drives(result, most)
+    return drives(_of_merge(result), most)
 
 
 class Picture(str):
@@ -342,11 +345,16 @@ def to_dataframe(topomap: TopoMap, of: Literal["junctions", "corridors"] = "junc
     return table.to_pandas() if find_spec("pandas") else table
 
 
+def _of_merge(result: object) -> MergeResult:
+    """UsageError for what is no result of a merge, its document for instance."""
+    if isinstance(result, MergeResult):
+        return result
+    raise UsageError("a MergeResult is needed: of merge(maps), or Workspace.read_result()")
+
+
 def _component_of(result: MergeResult, run: str) -> Component:
     """The component that a run is part of."""
-    if not isinstance(result, MergeResult):
-        raise UsageError("a MergeResult is needed: of merge(maps), or Workspace.read_result()")
-    for component in result.components:
+    for component in _of_merge(result).components:
         if run in component.poses:
             return component
     merged = sorted(run for c in result.components for run in c.poses)

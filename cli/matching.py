@@ -134,12 +134,12 @@ def matching(place: Workspace, pairs: int, kept: Kept, where: MatchOptions) -> I
 
 
 @contextmanager
-def resumable() -> Iterator[None]:
-    """Say of a merge that is interrupted, by a signal as well, what is kept."""
+def resumable(again: str = "run again") -> Iterator[None]:
+    """Say of a merge that is interrupted, by a signal as well, what is kept. again: what to do."""
     try:
         yield
     except (KeyboardInterrupt, SystemExit):
-        tell("stopped; what was matched is kept: run again to go on")
+        tell(f"stopped; what was matched is kept: {again} to go on")
         raise
 
 

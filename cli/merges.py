@@ -17,7 +17,14 @@ from ..topology.files import write_together
 from ..topology.topomap import TopoMap
 from ..topology.wording import counted
 from ..viz.pages import describe_pairs
-from .matching import MatchOptions, kept_results, matching, read_maps, settings_of
+from .matching import (
+    MatchOptions,
+    kept_results,
+    matching,
+    read_maps,
+    resumable,
+    settings_of,
+)
 from .output import progress, say, say_folded, warn
 from .stale import contents
 from .workspace import MERGED, Workspace
@@ -78,8 +85,9 @@ def made_again(
 ) -> None:
     """Repeat the merges that had one of the affected runs, each with the runs that still exist;
     new: new names of runs. The caller holds the workspace's lock."""
-    for each in place.merges():
-        _repeat(each, affected, new)
+    with resumable(place.call("merge", "--all")):
+        for each in place.merges():
+            _repeat(each, affected, new)
 
 
 def _repeat(place: Workspace, affected: Collection[str], new: Mapping[str, str]) -> None:

@@ -17,7 +17,7 @@ from ..merge.drives import drives
 from ..merge.result import MergeResult, Standing
 from ..topology.errors import UsageError
 from ..topology.topomap import TopoMap
-from ..topology.wording import counted
+from ..topology.wording import counted, listed
 from .matching import kept_results, settings_of
 from .next_drives import nothing_worth
 from .options import HereWithMerge, QuietOption, argument, verb
@@ -73,6 +73,8 @@ def report(
         notes = [unreadable.format(run, error) for run, error in errors.items()]
         new = changed_since(place, result.info.get("maps") or {}, list(maps)) if result else []
         notes += [f"Merge again: {describe_changed(new)}"] if new else []
+        gone = sorted(result.home.keys() - maps.keys() - errors.keys()) if result else []
+        notes += [f"Merge again: no map is there any more of {listed(gone, 3)}"] if gone else []
         # What is worked out again from the maps that were merged.
         merged = result if not notes else None
         home = {c.id: c.name for c in result.components} if result else {}

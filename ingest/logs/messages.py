@@ -136,7 +136,7 @@ _OF_ONE = {
 
 
 def several_that(count: int, noun: str, predicate: str) -> str:
-    """ "1 message is of another type", "2 messages are …"; told: of several, from its verb on."""
+    """ "1 message is of another type", "2 messages are …"; predicate: of several, with its verb."""
     verb, space, rest = predicate.partition(" ")
     verb = _OF_ONE.get(verb, verb) if count == 1 else verb
     return f"{several(count, noun)} {verb}{space}{rest}"

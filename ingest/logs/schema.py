@@ -58,7 +58,7 @@ def is_usual(channel: Channel) -> bool:
     """Whether the definition of a type of LAYOUTS is ROS's own, so that its layout is known.
 
     True also for a log without definitions, or with one that cannot be read: the type's name is
-    trusted then.
+    trusted then. Times count as ROS's own, as in ROS 1 they are no type of their own.
     """
     if not channel.schema:
         return True

@@ -76,6 +76,9 @@ def test_a_report_tells_of_a_broken_map_and_goes_on(topobatch, merged) -> None:
     html = (merged / "report.html").read_text()
     assert f"The map of {a} cannot be read" in html
     assert b in html
+    (merged / "maps" / f"{a}.json").unlink()
+    assert topobatch("report", "-w", merged).code == 0
+    assert f"no map is there any more of {a}" in (merged / "report.html").read_text()
 
 
 def test_a_report_of_one_run_lists_the_branches_that_next_lists(topobatch, merged) -> None:

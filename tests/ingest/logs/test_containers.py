@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import shutil
 import sqlite3
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
 import pytest
+import zstandard
 
+from topobatch.ingest.logs.inflate import inflate
 from topobatch.ingest.reading import inspect_log, log_size, read_run
 
 MCAPS = {
@@ -191,3 +194,11 @@ def test_a_bare_database_is_a_log(logs, tmp_path):
     (folder / "metadata.yaml").unlink()
     assert_whole(logs, read_run(folder / "bag.db3"))
     assert_whole(logs, read_run(folder))
+
+
+def test_threads_decompress_at_one_time():
+    """Of zstd each has a decompressor of its own: shared, one gave wrong bytes."""
+    plain = [bytes([k]) * 50_000 + bytes(range(256)) * k for k in range(200)]
+    packed = [zstandard.compress(raw) for raw in plain]
+    with ThreadPoolExecutor(4) as pool:
+        assert [*pool.map(inflate, ["zstd"] * 200, packed, map(len, plain))] == plain
