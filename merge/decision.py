@@ -38,6 +38,10 @@ LINKS: tuple[TermKind, ...] = ("corridor", "position")
 AGAINST: tuple[TermKind, ...] = ("unseen", "elsewhere")
 
 
+COMMON_LENGTH = "common length"
+"""The text of a link whose two lengths agree, as those of many corridors would."""
+
+
 @dataclass(frozen=True, slots=True)
 class Term:
     """A part of the evidence, in bits, positive if for the placement.
@@ -58,8 +62,9 @@ class Term:
 
     @property
     def contradicts(self) -> bool:
-        """Whether it speaks against the placement, and not only little (`AGREES_BITS`)."""
-        return self.bits < -AGREES_BITS
+        """Whether the two maps differ here: it speaks against the placement, not only little
+        (`AGREES_BITS`), and not because many corridors are as long."""
+        return self.bits < -AGREES_BITS and self.text != COMMON_LENGTH
 
     @property
     def with_size(self) -> str:

@@ -20,7 +20,7 @@ from ...topology.matching.views import compare
 from ...topology.se2 import between, turned
 from ...topology.topomap import TopoMap
 from ...topology.wording import counted
-from ..decision import Decision, Placement, Requirement, Term
+from ..decision import COMMON_LENGTH, Decision, Placement, Requirement, Term
 from ..kept import Kept
 from ..locks import Lock, discarded, lock_table
 from ..result import (
@@ -245,7 +245,7 @@ def _link_terms(a: Prepared, b: Prepared, c: Candidate) -> Iterator[Term]:
             size = (float(a.length[row_a]), float(b.length[row_b]))
             sigma_m = math.sqrt(a.variance[row_a] + b.variance[row_b])
             fits = abs(size[0] - size[1]) < FIT_SIGMAS * sigma_m
-            kind = "common length" if fits else "misfit"
+            kind = COMMON_LENGTH if fits else "misfit"
             yield Term("corridor", bits, "corridor" if bits >= 0 else kind, va, vb, size)
         else:
             gap_a, gap_b = a.z[va[1]] - a.z[va[0]], b.z[vb[1]] - b.z[vb[0]]
