@@ -1,9 +1,8 @@
-"""Makes the pictures of the docs from the merged sample logs (`make docs`): drawn in light and in
-dark for the README, and in the real viewer.
+"""Makes the picture of the README and the tutorial: the merged sample logs in the real viewer
+(`make docs`).
 
 The viewer needs a Vulkan driver, for which one in software will do (Debian: mesa-vulkan-drivers,
-libvulkan1), but no display. Its picture carries what it shows as text, and a test compares that and
-the words of the drawings with what the code of the day makes of the sample logs.
+libvulkan1), but no display. The picture carries what it shows as text (`shown_by`).
 """
 
 from __future__ import annotations
@@ -25,7 +24,6 @@ PICTURE = ROOT / "docs" / "merged.png"
 SHOWS = "topobatch: shows"
 COLOURS = 256
 WIDTH = 1400
-DRAWN = {theme: ROOT / "docs" / f"merged-{theme}.svg" for theme in ("light", "dark")}
 PANELS = ("ui.toggle_top_panel",)
 """Of the viewer's own, which the picture does without."""
 
@@ -66,12 +64,6 @@ def merged_samples(workspace: Path) -> None:
     for call in (["ingest", str(ROOT / "sample_logs")], ["merge", "--all"]):
         command = [sys.executable, "-m", "topobatch.cli", *call, "--quiet"]
         subprocess.run([*command, "--workspace", str(workspace)], check=True)
-
-
-def draw(workspace: Path, theme: str, out: Path) -> None:
-    """Draw the merged map, as a user would."""
-    command = [sys.executable, "-m", "topobatch.cli", "draw", "merged", str(out)]
-    subprocess.run([*command, "--theme", theme, "--workspace", str(workspace)], check=True)
 
 
 def screenshot(recording: Path, out: Path) -> None:
@@ -121,8 +113,6 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         workspace, screen = Path(folder) / "ws", Path(folder) / "screen.png"
         merged_samples(workspace)
-        for theme, out in DRAWN.items():
-            draw(workspace, theme, out)
         screenshot(workspace / "merged.rrd", screen)
         save(args.out, screen, facts(json.loads((workspace / "merged.json").read_bytes())))
     print(f"{args.out}:\n{shown_by(args.out)}")
