@@ -8,10 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 from ..merge.change import Change, change_to_document, numbered
 from ..merge.changes import changes as changes_of
-from ..merge.changes import is_driven
 from ..merge.result import Component, MergeResult
-from ..topology.wording import counted
-from ..topology.wording import listed as names
+from ..topology.wording import counted, listed
 from ..viz.parts import in_order
 from .draw import picture_form, quiet_fonts, walled
 from .options import ComponentOption, HereWithMerge, JsonOption, ThemeOption, argument, option, verb
@@ -63,12 +61,12 @@ def changes(
             maps = place.maps_as_merged(result, one.id, sorted(one.poses))
             with place.document_at_fault():
                 found += changes_of(result, one.id, maps)
-            not_driven = [run for run, m in maps.items() if not is_driven(m)]
+            not_driven = [run for run, m in maps.items() if not m.is_driven]
             if len(maps) > len(not_driven) + 1:
                 compared.append(one)
             saved += not_driven
-    listed = numbered(c for c in found if everything or c.sure)
-    shown = [change for _, change in listed]
+    with_numbers = numbered(c for c in found if everything or c.sure)
+    shown = [change for _, change in with_numbers]
     if forms:
         picture = _drawn(place, result, several, shown, theme)
         write_files({path: picture.as_bytes(form) for path, form in forms.items()})
@@ -77,7 +75,7 @@ def changes(
         say_json([change_to_document(c) | {"site": sites[c.component]} for c in shown])
         return
     for one in compared:
-        own = [(k, change) for k, change in listed if change.component == one.id]
+        own = [(k, change) for k, change in with_numbers if change.component == one.id]
         if not own:
             say(f"{one.name}: nothing changed")
         for k, change in own:
@@ -94,7 +92,7 @@ def changes(
         else "no two recorded runs were merged: nothing to compare"
     )
     if saved:
-        say_folded(f"saved maps tell no times and are left out: {names(saved, 3)}")
+        say_folded(f"saved maps tell no times and are left out: {listed(saved, 3)}")
     if forms or any(c.sure for c in shown):
         named = () if site is None else (site,)
         drawn = place.call("changes", *named, *place.of_merge, "-o", "changes.svg")

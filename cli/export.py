@@ -241,7 +241,7 @@ def _trajectories(place: Workspace, source: Exported, log: Path | None) -> dict[
     poses = {} if source.component is None else source.component.poses
     out = {}
     for run, topomap in sorted(source.maps.items()):
-        if len(topomap.observation_time_ns) == 0:
+        if not topomap.is_driven:
             if source.component is not None:
                 warn(f"{run}: is the map of a grid, which nobody drove: no trajectory")
             continue

@@ -74,7 +74,7 @@ def grid_texts(
 def grid_of_saved(place: Workspace, source: Exported) -> Grid | None:
     """The grid that `grid_texts` writes for a site of several saved maps, in which nothing but
     their pictures has to be read; None of others."""
-    if len(source.maps) < 2 or any(len(m.observation_time_ns) for m in source.maps.values()):
+    if len(source.maps) < 2 or any(m.is_driven for m in source.maps.values()):
         return None
     grid, _ = _grid(place, source, None)
     return grid
@@ -120,7 +120,7 @@ def _seen(
     with a warning, where it cannot be read; one that the user named has to be."""
     try:
         at, settings = log_of(place, topomap.run, named), place.ingested(topomap.run).settings()
-        if len(topomap.observation_time_ns):
+        if topomap.is_driven:
             return scans_on_map(at, settings, topomap, on_bytes=on_bytes)
         found = read_log(at, settings, on_bytes=on_bytes)
         if not isinstance(found, GridLog):
@@ -144,7 +144,7 @@ def _grid(place: Workspace, source: Exported, log: LogPath | None) -> tuple[Grid
     seen = {run: m for run, m in sorted(source.maps.items()) if len(m.views)}
     with progress(f"{source.name}: reading its logs", 0) as advance:
         on_bytes = counting(lambda done: advance(done, f"{megabytes(done)} MB"))
-        undriven = [run for run, m in seen.items() if not len(m.observation_time_ns)]
+        undriven = [run for run, m in seen.items() if not m.is_driven]
         read = {run: _seen(place, seen[run], log, on_bytes) for run in undriven}
         saved = {run: grid for run, grid in read.items() if isinstance(grid, Grid)}
         if len(seen) == 1 and saved:

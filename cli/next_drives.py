@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -70,7 +70,7 @@ def next_drives(
         say_json([drive_to_document(d) for d in found])
         return
     if not found:
-        for line in nothing_worth(result, shown, place, about):
+        for line in nothing_worth(result, left, place, about):
             say_folded(line, indent="  ")
     for line in _lines(found, result, place, about) if found else ():
         say(line)
@@ -99,10 +99,10 @@ def _lines(
 
 
 def nothing_worth(
-    result: MergeResult, shown: Collection[str], place: Workspace, about: Component | None = None
+    result: MergeResult, left: Iterable[Undriven], place: Workspace, about: Component | None = None
 ) -> list[str]:
-    """That no drive is worth it, why, and where the maps of the sites shown are not complete.
-    about: the only site that drives were asked for."""
+    """That no drive is worth it, why, and where maps are not complete. left: the branches that
+    nobody drove; about: the only site that drives were asked for."""
     why = (
         f"no drive is proposed: {_none_open(about)}, and none by a branch that "
         "nobody drove is likely to show that two sites are one place"
@@ -111,9 +111,8 @@ def nothing_worth(
         why = "there is one site: nothing is left to join"
     why = _not_to_settle(result, place, about) or why
     ways: dict[str, dict[int, None]] = {}
-    for branch in never_driven(result):
-        if branch.site in shown:
-            ways.setdefault(branch.site, {})[branch.junction] = None
+    for branch in left:
+        ways.setdefault(branch.site, {})[branch.junction] = None
     if not ways:
         return [why, "every branch was driven"]
     out = [why, "branches that nobody drove, which would complete a map, are at:"]

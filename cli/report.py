@@ -13,7 +13,7 @@ import typer
 
 from ..merge.changes import all_changes
 from ..merge.decision import Decision
-from ..merge.drives import drives
+from ..merge.drives import drives, never_driven
 from ..merge.result import MergeResult, Standing
 from ..topology.errors import UsageError
 from ..topology.topomap import TopoMap
@@ -86,8 +86,7 @@ def report(
             decisions[pair] = replace(one, notes=(*one.notes, *words))
         advance(0, doing="drawing the page")
         found = drives(result) if result else ()
-        sites = {c.name for c in result.components} if result else set()
-        lines = nothing_worth(result, sites, place) if result and not found else ()
+        lines = nothing_worth(result, never_driven(result), place) if result and not found else ()
         html = report_page(
             Report(
                 maps,

@@ -83,12 +83,12 @@ def _run(
     warnings += [*(way.warnings if way else ()), *found.warnings]
     scans = _Scans(read, found, clock, way.recorded if way else None)
     try:
-        result, stream, found_out = _detected(scans, way.odometry if way else None)
+        result, stream, of_scans = _detected(scans, way.odometry if way else None)
     except DataError as error:
         named = ", ".join(laser.topic for laser in found.used)
         alone = f"; --scan-topic {first.topic} uses one alone" if len(found.used) > 1 else ""
         raise DataError(f"{read.log}: {named}: {error}{alone}") from error
-    warnings += [*found_out, *stream.warnings, *result.warnings]
+    warnings += [*of_scans, *stream.warnings, *result.warnings]
     statistics = asdict(result.statistics)
     for name, value in statistics.items():
         if isinstance(value, float):  # unknown values are None

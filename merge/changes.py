@@ -103,18 +103,13 @@ def last_found(
     }
 
 
-def is_driven(topomap: TopoMap) -> bool:
-    """Whether a map is of a recorded run, and not a saved map."""
-    return len(topomap.observation_time_ns) > 0
-
-
 class _Seen:
     """A component's fused map with the observations of its vertices by every run."""
 
     def __init__(
         self, merged: TopoMap, maps: Mapping[str, TopoMap], poses: Mapping[str, FloatArray]
     ) -> None:
-        self.merged, self.maps = merged, {run: m for run, m in maps.items() if is_driven(m)}
+        self.merged, self.maps = merged, {run: m for run, m in maps.items() if m.is_driven}
         self.nodes, self.edges = (
             [{run: of for run, of in seen.items() if run in self.maps} for seen in members[:count]]
             for members, count in (

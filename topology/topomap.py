@@ -202,6 +202,11 @@ class TopoMap(Graph):
         ):
             raise ValueError("a turning point names a vertex or a branch that does not exist")
 
+    @property
+    def is_driven(self) -> bool:
+        """Whether it is of a recorded run; nobody drove a saved map, which has no times."""
+        return len(self.observation_time_ns) > 0
+
     def __repr__(self) -> str:
         """One line: an array of a map fills a page."""
         corridors = f"{counted(len(self.source), 'corridor')} of {self.length.sum():.0f} m"

@@ -97,9 +97,8 @@ def write_map_recording(
 
 def _blueprint(topomap: TopoMap, track: RobotTrack | None) -> rrb.Blueprint:
     """The map, and beside it its summary, its events and the drift."""
-    passed = len(topomap.observation_time_ns) > 0
     pages: list[rrb.View] = [rrb.TextDocumentView(origin="/summary", name="Summary")]
-    if passed:
+    if topomap.is_driven:
         pages.append(rrb.TextLogView(origin="/events", name="Events", columns=_EVENT_COLUMNS))
     side: list[rrb.View | rrb.Container] = [rrb.Tabs(*pages, active_tab=0, name="Details")]
     if track is not None:
@@ -110,7 +109,7 @@ def _blueprint(topomap: TopoMap, track: RobotTrack | None) -> rrb.Blueprint:
         column_shares=[3, 1],
         name="Map of one run",
     )
-    state: Literal["collapsed", "hidden"] = "collapsed" if track or passed else "hidden"
+    state: Literal["collapsed", "hidden"] = "collapsed" if track or topomap.is_driven else "hidden"
     # "following" starts with the cursor at the end.
     end = rrb.TimePanel(state=state, timeline=CLOCKS[0], play_state="following")
     return blueprint(root, end)

@@ -97,7 +97,7 @@ def report_page(report: Report) -> str:
         need=result and result.threshold_bits and shown_bits(result.threshold_bits),
         runs=runs,
         time=time_line(runs, report.maps, colours),
-        timeless=sum(len(m.observation_time_ns) == 0 for m in report.maps.values()),
+        timeless=sum(not m.is_driven for m in report.maps.values()),
         health=_health(report, runs),
         locks=report.locks,
         versions=", ".join(f"{name} {version}" for name, version in report.versions),

@@ -112,9 +112,9 @@ def test_a_plan_for_one_site(place, topobatch) -> None:
     far = tuple(v for v in result.verdicts if not {v.a, v.b} & {*here.poses})
     assert any(v.standing is Standing.AMBIGUOUS for v in far)
     elsewhere = replace(result, verdicts=far)
-    (why, *_) = nothing_worth(elsewhere, {site}, Workspace(place), here)
+    (why, *_) = nothing_worth(elsewhere, [], Workspace(place), here)
     assert f"no open pair concerns {site}" in why
-    assert "open, but no drive" in nothing_worth(elsewhere, {site}, Workspace(place))[0]
+    assert "open, but no drive" in nothing_worth(elsewhere, [], Workspace(place))[0]
 
 
 def test_the_report_shows_it(place, topobatch) -> None:
