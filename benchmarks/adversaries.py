@@ -25,17 +25,7 @@ from itertools import combinations
 import numpy as np
 from aliasing import FEWEST, RULES, leave_out
 from observed import Seeing, observed_map, scattered_maps
-from plans import (
-    doors,
-    lattice,
-    modular,
-    moved,
-    spiral,
-    star,
-    symmetric,
-    with_block,
-    without_some,
-)
+from plans import doors, lattice, modular, moved, spiral, star, symmetric, with_block, without_some
 
 from topobatch.merge.merging import merge_maps
 from topobatch.merge.robust import DEFAULT_ROBUST

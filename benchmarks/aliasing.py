@@ -131,13 +131,7 @@ def placements(kind, worlds, first):
         beside = bool(np.isfinite(right[0]) and np.isfinite(wrong[0]))
         lead = wrong[0] - right[0] if beside else 0.0
         k = np.searchsorted(SHARES, len(shared) / min(len(a), len(b)), side="right")
-        out[k] += (
-            1,
-            beside,
-            lead < 0,
-            lead > MATCH.lead_bits,
-            beside and right[1] > wrong[1],
-        )
+        out[k] += (1, beside, lead < 0, lead > MATCH.lead_bits, beside and right[1] > wrong[1])
     return out
 
 

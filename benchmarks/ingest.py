@@ -348,11 +348,7 @@ def mcap_chunks(path: Path) -> list[tuple[int, int, str, int]]:
     return out
 
 
-METHODS = {
-    "topobatch": measure_topobatch,
-    "rosbags": measure_rosbags,
-    "limit": measure_limit,
-}
+METHODS = {"topobatch": measure_topobatch, "rosbags": measure_rosbags, "limit": measure_limit}
 
 
 def imports_of(method: str) -> None:

@@ -132,11 +132,7 @@ def _not_merged(place: Workspace, result: MergeResult | None, pair: tuple[str, s
 
 
 def _by_paper(
-    place: Workspace,
-    pair: tuple[str, str],
-    options: PaperOptions,
-    as_json: bool,
-    rows: int | None,
+    place: Workspace, pair: tuple[str, str], options: PaperOptions, as_json: bool, rows: int | None
 ) -> None:
     """Show the result of the paper's method."""
     from ..merge.paper.explain import explain as explained

@@ -65,10 +65,7 @@ def grid_texts(
     if grid is None:
         raise DataError(f"{source.name}: nothing is known of its walls")
     frame = f"{source.name}, in the frame {source.topomap.frame} of its other exports"
-    return {
-        PICTURE: map_picture(grid),
-        ".yaml": map_yaml(grid, picture, [frame, *remarks]),
-    }
+    return {PICTURE: map_picture(grid), ".yaml": map_yaml(grid, picture, [frame, *remarks])}
 
 
 def grid_of_saved(place: Workspace, source: Exported) -> Grid | None:

@@ -163,10 +163,7 @@ def read_map(path: str | Path) -> TopoMap:
 
 
 def merge(
-    maps: Iterable[TopoMap],
-    *,
-    false_merge_rate: float | None = None,
-    locks: Sequence[Lock] = (),
+    maps: Iterable[TopoMap], *, false_merge_rate: float | None = None, locks: Sequence[Lock] = ()
 ) -> MergeResult:
     """Merge the maps of many runs, where the evidence says that they overlap.
 

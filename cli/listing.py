@@ -148,12 +148,7 @@ def _sizes(result: MergeResult) -> dict[int, str]:
 
 
 def _listed(
-    place: Workspace,
-    run: str,
-    merged: MergeResult | None,
-    home: Component | None,
-    *,
-    locked: bool,
+    place: Workspace, run: str, merged: MergeResult | None, home: Component | None, *, locked: bool
 ) -> Listed:
     """home: the run's component in the last merge; locked: a lock of it changed since then."""
     made_ns = os.lstat(place.maps / f"{run}.json").st_mtime_ns

@@ -17,14 +17,7 @@ from ..topology.files import write_together
 from ..topology.topomap import TopoMap
 from ..topology.wording import counted
 from ..viz.pages import describe_pairs
-from .matching import (
-    MatchOptions,
-    kept_results,
-    matching,
-    read_maps,
-    resumable,
-    settings_of,
-)
+from .matching import MatchOptions, kept_results, matching, read_maps, resumable, settings_of
 from .output import progress, say, say_folded, warn
 from .stale import contents
 from .workspace import MERGED, Workspace
@@ -79,9 +72,7 @@ def made(
 
 
 def made_again(
-    place: Workspace,
-    affected: Collection[str],
-    new: Mapping[str, str] = MappingProxyType({}),
+    place: Workspace, affected: Collection[str], new: Mapping[str, str] = MappingProxyType({})
 ) -> None:
     """Repeat the merges that had one of the affected runs, each with the runs that still exist;
     new: new names of runs. The caller holds the workspace's lock."""

@@ -145,8 +145,7 @@ SiteOption = Annotated[
 ]
 
 ComponentOption = Annotated[
-    int | None,
-    option("--component N", "Only this component, by its number.", min=0, hidden=True),
+    int | None, option("--component N", "Only this component, by its number.", min=0, hidden=True)
 ]
 """How scripts named a site before sites had names."""
 

@@ -115,10 +115,7 @@ def report(
 
 
 def _decisions(
-    place: Workspace,
-    result: MergeResult,
-    maps: Mapping[str, TopoMap],
-    advance: Advance,
+    place: Workspace, result: MergeResult, maps: Mapping[str, TopoMap], advance: Advance
 ) -> dict[tuple[str, str], Decision]:
     """The evidence term by term of the pairs that a reader asks about first: undecided ones, then
     the merged ones with the least evidence."""

@@ -35,10 +35,6 @@ def driven_shares(topomap: TopoMap, odometry: Odometry, visits: Visits) -> dict[
     along = np.zeros(len(at), bool)
     along[known] = Ways(whole.paths, STEP_M).nearest(at[known]) <= NEAR_M
     between = (time_ns > visits.time_ns[0]) & (time_ns < visits.time_ns[-1])
-    parts = {
-        "corridors": along,
-        "out_and_back": ~along & between,
-        "ends": ~along & ~between,
-    }
+    parts = {"corridors": along, "out_and_back": ~along & between, "ends": ~along & ~between}
     shares = {name: round(float(part.mean()), 3) for name, part in parts.items()}
     return {"way_m": round(float(way[-1]), 1), **shares}

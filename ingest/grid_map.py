@@ -122,11 +122,7 @@ def map_of_grid(log: GridLog, settings: FloorplanSettings = FLOORPLAN) -> TopoMa
             [c for c in used if places[c.target].kind == "frontier"], number, rows, origin
         ),
         views=grid_views(log.grid, np.concatenate([xy, *along])),
-        info={
-            "source": dict(log.source),
-            "settings": asdict(tried),
-            "warnings": list(warnings),
-        },
+        info={"source": dict(log.source), "settings": asdict(tried), "warnings": list(warnings)},
     )
 
 

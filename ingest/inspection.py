@@ -115,10 +115,7 @@ def _saved_map_info(recording: Recording, path: Path) -> LogInfo:
 
 
 def _uses(
-    recording: Recording,
-    counts: Mapping[Channel, int],
-    settings: ReadSettings,
-    problems: list[str],
+    recording: Recording, counts: Mapping[Channel, int], settings: ReadSettings, problems: list[str]
 ) -> dict[str, tuple[str, str]]:
     """For each topic its use and the reason; what is missing is added to the problems."""
     log = str(recording.path)

@@ -15,12 +15,7 @@ from ..topology.closure.answers import Identification
 from ..topology.closure.certainty import place_errors, seen_alike
 from ..topology.closure.dead_reckoning import DeadReckoning, SystematicErrors, dead_reckoning
 from ..topology.closure.estimate import set_apart
-from ..topology.closure.incremental import (
-    Closed,
-    closure_without_grid,
-    full_closure,
-    unclosed,
-)
+from ..topology.closure.incremental import Closed, closure_without_grid, full_closure, unclosed
 from ..topology.closure.missed_detections import CorrectedPlaces, correct_detections
 from ..topology.closure.variance_components import Fitted, fitted_noise
 from ..topology.columns import take
@@ -240,12 +235,7 @@ def _fitted(reckoning: DeadReckoning, odometry: Odometry, closed: Closed) -> Fit
 
 
 def _measure_hidden_errors(
-    fitted: DeadReckoning,
-    odometry: Odometry,
-    run: Run,
-    source: PassSource,
-    *,
-    too_long: float,
+    fitted: DeadReckoning, odometry: Odometry, run: Run, source: PassSource, *, too_long: float
 ) -> tuple[DeadReckoning, FloatArray | None]:
     """Dead reckoning with the noise that closed loops do not show: the scale, and the error of
     centres that all passes by a place share; (p,) the latter of each pass [m], None if there is
@@ -284,10 +274,7 @@ def _refine_noise(
 
 
 def _add_turning_points(
-    topomap: TopoMap,
-    odometry: Odometry,
-    visits: Visits,
-    source: PassSource,
+    topomap: TopoMap, odometry: Odometry, visits: Visits, source: PassSource
 ) -> TopoMap:
     """The map with the turning points that its source of passes does not report as junctions."""
     if source.shows_bends:

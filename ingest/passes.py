@@ -174,10 +174,7 @@ def _fuse(
 
 
 def _cluster_branches(
-    heading: FloatArray,
-    message: IntArray,
-    group: IntArray,
-    messages: IntArray,
+    heading: FloatArray, message: IntArray, group: IntArray, messages: IntArray
 ) -> Ragged:
     """Branches of each pass, ascending.
 

@@ -16,14 +16,7 @@ from .inspection import LogInfo, TopicInfo, inspect_log
 from .junction_source import JunctionSource, sensor_topics, source_to_read, views_source
 from .logs.finding import find_logs, with_parts_joined
 from .logs.grids import GridLog, last_grid
-from .logs.recording import (
-    Recording,
-    log_exists,
-    log_fingerprint,
-    log_size,
-    recording_at,
-    run_name,
-)
+from .logs.recording import Recording, log_exists, log_fingerprint, log_size, recording_at, run_name
 from .logs.saved_map import is_saved_map, read_saved_map
 from .logs.topics import Choice
 from .odometry.conventions import disagreements
@@ -34,14 +27,7 @@ from .odometry.track import Track
 from .read_settings import DEFAULT_READ, ReadSettings
 from .remote.path import LogPath
 from .sightings import robot_frame_sightings
-from .survey import (
-    LogRead,
-    OnKeyframes,
-    Progress,
-    damage_of,
-    kept,
-    surveyed,
-)
+from .survey import LogRead, OnKeyframes, Progress, damage_of, kept, surveyed
 from .topic_poses import Clock, TopicPoses, choose_clock
 
 __all__ = [

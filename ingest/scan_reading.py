@@ -99,12 +99,7 @@ def _run(
     if found.left_out:
         about["left_out"] = dict(found.left_out)
     return Run(
-        read.run,
-        result.odometry,
-        NO_DETECTIONS,
-        about,
-        tuple(warnings),
-        scanned=result.scanned,
+        read.run, result.odometry, NO_DETECTIONS, about, tuple(warnings), scanned=result.scanned
     )
 
 

@@ -149,12 +149,7 @@ def _rise(pose: FloatArray) -> FloatArray:
     return np.asarray(np.abs(2 * (x * z - w * y)))
 
 
-def _centres(
-    xy: FloatArray,
-    first: IntArray,
-    counts: IntArray,
-    warnings: list[str],
-) -> FloatArray:
+def _centres(xy: FloatArray, first: IntArray, counts: IntArray, warnings: list[str]) -> FloatArray:
     """(m, 2) mean position of every message's poses, which should coincide."""
     if len(first) == 0:
         return np.zeros((0, 2))

@@ -30,10 +30,7 @@ from .result import (
 
 
 def component_map(
-    result: MergeResult,
-    component: int,
-    name: str,
-    maps: Mapping[str, TopoMap] | None = None,
+    result: MergeResult, component: int, name: str, maps: Mapping[str, TopoMap] | None = None
 ) -> TopoMap:
     """The fused map of one component, as the map of a run called `name` in a frame called `name`.
 

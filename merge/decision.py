@@ -12,12 +12,7 @@ from typing import Any, Literal
 from ..topology.arrays import FloatArray
 from ..topology.digits import BITS, METRES, rounded
 from ..topology.matching.views import Compared
-from .document import (
-    bits_to_document,
-    pose_to_document,
-    rounded_copy_test,
-    sigmas_to_document,
-)
+from .document import bits_to_document, pose_to_document, rounded_copy_test, sigmas_to_document
 from .result import Alignment, PairVerdict
 from .wording import AGREES_BITS
 

@@ -206,9 +206,7 @@ def result_from_document(document: MergedDocument) -> MergeResult:
     graph = document.graph
     components = tuple(
         Component(
-            c.id,
-            {run: _pose_from(pose) for run, pose in sorted(c.runs.items())},
-            site=c.site or "",
+            c.id, {run: _pose_from(pose) for run, pose in sorted(c.runs.items())}, site=c.site or ""
         )
         for c in graph.components
     )
@@ -270,11 +268,7 @@ def _verdict_from(entry: MergeEntry) -> PairVerdict:
         None if one is None or one.transform is None else Alignment(**_read(one, ALIGNMENT))
         for one in (entry, entry.runner_up)
     )
-    return PairVerdict(
-        **_read(entry, EVERY_PAIR | RELATED_PAIR),
-        best=best,
-        runner_up=second,
-    )
+    return PairVerdict(**_read(entry, EVERY_PAIR | RELATED_PAIR), best=best, runner_up=second)
 
 
 def settings_from_document(kind: type[S], values: Mapping[str, Any] | None) -> S:

@@ -143,7 +143,7 @@ def _map_view(topomap: TopoMap, track: RobotTrack | None) -> rrb.Spatial2DView:
     low, high = bounds([extent(with_turning_points(topomap)), *driven], 2 * MARGIN)
     hidden = rrb.EntityBehavior(visible=False)
     overrides: dict[str, rrb.EntityBehavior | rrb.VisibleTimeRanges] = {
-        entity((*MAP, "closures", "refused")): hidden,
+        entity((*MAP, "closures", "refused")): hidden
     }
     if track is not None:
         overrides[entity((*MAP, "detection"))] = _behind_cursor(DETECTION_S)

@@ -44,9 +44,7 @@ def in_order(result: MergeResult) -> list[Component]:
 
 
 def lay_out(
-    result: MergeResult,
-    to_hold: Mapping[int, FloatArray],
-    shown: Collection[int] | None = None,
+    result: MergeResult, to_hold: Mapping[int, FloatArray], shown: Collection[int] | None = None
 ) -> list[Part]:
     """Components on one sheet, `in_order`: all, or those with the ids `shown`. to_hold: points
     (k, 2) that the cell of a component, by its id, is to hold beside its map [m]."""

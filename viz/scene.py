@@ -18,14 +18,7 @@ from ..topology.se2 import apply
 from ..topology.topomap import Graph
 from ..topology.views import Views
 from ..topology.wording import counted, listed
-from .geometry import (
-    PENS,
-    ROOM_MARKERS,
-    TURNED,
-    TURNED_MARKERS,
-    branch_arrows,
-    strands,
-)
+from .geometry import PENS, ROOM_MARKERS, TURNED, TURNED_MARKERS, branch_arrows, strands
 from .pages import describe_corridor
 from .palette import LARGE, MEDIUM, RING, THIN, Colour, Theme
 from .parts import Part

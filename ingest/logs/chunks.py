@@ -22,15 +22,7 @@ from ...topology.errors import LogError
 from ..remote.path import LogPath, RemotePath
 from ..remote.source import Ranges
 from .channels import Channels
-from .inflate import (
-    INFLATED_BYTES,
-    WHOLE_BYTES,
-    WRONG_SIZE,
-    checksum,
-    excess,
-    inflate,
-    pieces,
-)
+from .inflate import INFLATED_BYTES, WHOLE_BYTES, WRONG_SIZE, checksum, excess, inflate, pieces
 from .messages import (
     CUT,
     MESSAGE_BYTES,

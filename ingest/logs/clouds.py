@@ -10,15 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...topology.arrays import FloatArray
-from .foxglove import (
-    as_text,
-    get,
-    integer,
-    pose_of,
-    sequence,
-    stamp_of,
-    unit_quaternion,
-)
+from .foxglove import as_text, get, integer, pose_of, sequence, stamp_of, unit_quaternion
 from .messages import DamageError
 from .wire import WireParser
 

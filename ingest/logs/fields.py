@@ -22,16 +22,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from ...topology.errors import UsageError
-from .foxglove import (
-    LONGEST_LIST,
-    as_text,
-    get,
-    load_json,
-    object_reader,
-    real,
-    sequence,
-    stamp_of,
-)
+from .foxglove import LONGEST_LIST, as_text, get, load_json, object_reader, real, sequence, stamp_of
 from .messages import Channel, DamageError
 from .poses import Frames, Row, RowDecoder
 
@@ -40,10 +31,7 @@ _PATHS = ("center", "branches", "each", "stamp", "frame")
 LENGTHS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
 """Units of lengths [m]."""
 
-UNITS: Mapping[str, Mapping[str, Any]] = {
-    "unit": {"rad": "rad", "deg": "deg"},
-    "length": LENGTHS,
-}
+UNITS: Mapping[str, Mapping[str, Any]] = {"unit": {"rad": "rad", "deg": "deg"}, "length": LENGTHS}
 """What the keys of units may be."""
 
 _WHOLE_TURN = 2 * np.pi * (1 + 1e-6)

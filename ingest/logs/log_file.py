@@ -32,12 +32,7 @@ UNPACKED_RATIO = 1000
 UNPACKED_BYTES = 1 << 28
 """Limit on the unpacked size of a file compressed as a whole: 256 MiB, or 1000 times its size."""
 
-_MAGICS = {
-    "mcap": MCAP_MAGIC,
-    "bag": BAG_MAGIC,
-    "sqlite3": SQLITE_MAGIC,
-    "zstd": ZSTD_MAGIC,
-}
+_MAGICS = {"mcap": MCAP_MAGIC, "bag": BAG_MAGIC, "sqlite3": SQLITE_MAGIC, "zstd": ZSTD_MAGIC}
 
 
 def sniff(path: LogPath) -> str | None:

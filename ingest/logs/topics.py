@@ -98,11 +98,7 @@ JUNCTIONS: Mapping[Way, Role] = {
         "--scan-topic",
     ),
     "cloud": Role(
-        (
-            "sensor_msgs/msg/PointCloud2",
-            "foxglove.PointCloud",
-            "foxglove_msgs/msg/PointCloud",
-        ),
+        ("sensor_msgs/msg/PointCloud2", "foxglove.PointCloud", "foxglove_msgs/msg/PointCloud"),
         "sensor_msgs/PointCloud2 or foxglove.PointCloud",
         "/points",
         "--scan-topic",
@@ -186,10 +182,7 @@ def choose_junctions(
 
 
 def choose_sensors(
-    counts: Mapping[Channel, int],
-    named: str | None,
-    role: Role,
-    log: str,
+    counts: Mapping[Channel, int], named: str | None, role: Role, log: str
 ) -> list[Choice]:
     """The topics of scans, clouds or grids: the usual one first, then those with most messages.
 

@@ -94,10 +94,7 @@ class _Observed:
 
 
 def heading_evidence(
-    odometry: Odometry,
-    nominal: Odometry,
-    detections: Detections,
-    passes: Passes,
+    odometry: Odometry, nominal: Odometry, detections: Detections, passes: Passes
 ) -> HeadingEvidence:
     """The evidence from the detections of a run.
 
@@ -173,10 +170,7 @@ class Readings:
 
 
 def assign_readings(
-    odometry: Odometry,
-    detections: Detections,
-    passes: Passes,
-    interpolated_rad: float = np.inf,
+    odometry: Odometry, detections: Detections, passes: Passes, interpolated_rad: float = np.inf
 ) -> Readings:
     """The nearest fused branch (flat index) of every reading, where it is within `ONE_WAY_RAD`.
 

@@ -97,12 +97,7 @@ class HeadingLikelihood:
 
     @classmethod
     def of(
-        cls,
-        evidence: HeadingEvidence,
-        *,
-        prior_sigma: FloatArray,
-        centre: FloatArray,
-        worth: float,
+        cls, evidence: HeadingEvidence, *, prior_sigma: FloatArray, centre: FloatArray, worth: float
     ) -> HeadingLikelihood:
         """The likelihood of corrections x, in addition to those already applied to the evidence."""
         parts = _Scatter(evidence.passes, worth), _Grid(evidence.grid)

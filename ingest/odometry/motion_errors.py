@@ -71,9 +71,7 @@ def motion_errors(
         mean = _Scale.of(_expected(odometry, noise), too_long, scale_sigma).mean
     return MotionErrors(
         Shown(
-            rounded(too_long, LENGTH_SCALE),
-            significant(scale_sigma),
-            rounded(mean, LENGTH_SCALE),
+            rounded(too_long, LENGTH_SCALE), significant(scale_sigma), rounded(mean, LENGTH_SCALE)
         ),
         _lever(x, x_sigma),
         _lever(y, y_sigma),

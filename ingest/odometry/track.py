@@ -73,12 +73,7 @@ def _behind(time_ns: IntArray) -> tuple[IntArray, IntArray]:
     return edges[::2], edges[1::2]
 
 
-def sane_track(
-    time_ns: IntArray,
-    pose: FloatArray,
-    frame: str,
-    child_frame: str,
-) -> Track:
+def sane_track(time_ns: IntArray, pose: FloatArray, frame: str, child_frame: str) -> Track:
     """Sort by time, drop duplicates and glitches, replace jumps.
 
     time_ns: (n,) in the order of the log, n ≥ 1; pose: (n, 3) x, y [m], theta [rad], finite. O(n

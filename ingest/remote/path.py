@@ -18,14 +18,7 @@ from urllib.parse import unquote, urlsplit, urlunsplit
 
 from ...topology.errors import LogError, UsageError
 from .source import BLOCK_BYTES, RemoteFile
-from .store import (
-    Got,
-    MissingObjectError,
-    Stat,
-    listed,
-    requested,
-    require_obstore,
-)
+from .store import Got, MissingObjectError, Stat, listed, requested, require_obstore
 
 _REMOTE = re.compile(r"^(s3|gs|az|https?)://", re.IGNORECASE)
 _LOG = re.compile(r"\.(mcap|bag|db3|active|zstd|zst)$", re.IGNORECASE)

@@ -181,10 +181,7 @@ def _earlier(before: IntArray, offsets: tuple[int, ...]) -> list[IntArray]:
 
 
 def _guess(
-    held: Placed,
-    known: int,
-    matched_to: tuple[IntArray, IntArray, FloatArray],
-    raw: Steps,
+    held: Placed, known: int, matched_to: tuple[IntArray, IntArray, FloatArray], raw: Steps
 ) -> FloatArray:
     """(n, 3) initial poses: the known ones, then dead reckoning by pairwise matches or the
     odometry."""

@@ -186,10 +186,7 @@ class Rooms(NamedTuple):
 
 
 def with_rooms(
-    graph: SkeletonGraph,
-    opening: BoolArray,
-    drivable: Drivable,
-    settings: SkeletonSettings,
+    graph: SkeletonGraph, opening: BoolArray, drivable: Drivable, settings: SkeletonSettings
 ) -> Rooms:
     """The graph cut at its doors; in rooms, ways from the middle to the doors, and to where the
     unknown begins, replace it.

@@ -150,11 +150,7 @@ def odometry_scores(gradient: FloatArray, stretch: int = STRETCH) -> Scores:
 
 
 def wall_scores(
-    scans: Swept,
-    pose: FloatArray,
-    pairs: tuple[IntArray, IntArray],
-    gate: Gate,
-    worth: float,
+    scans: Swept, pose: FloatArray, pairs: tuple[IntArray, IntArray], gate: Gate, worth: float
 ) -> tuple[Scores, float]:
     """Gradients by patches of wall in pairs of scans at poses (n, 3), with the weight `worth` of a
     squared residual [1/m²]; and the curvature of the loss, as a share of the weights. O(p m log m).

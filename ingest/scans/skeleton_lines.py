@@ -55,10 +55,7 @@ class Lines:
 
 
 def lines_of(
-    skeleton: BoolArray,
-    clearance_m: Float32Array | FloatArray,
-    cell_m: float,
-    border: BoolArray,
+    skeleton: BoolArray, clearance_m: Float32Array | FloatArray, cell_m: float, border: BoolArray
 ) -> Lines:
     """The forks and lines of a skeleton (h, w); clearance_m: (h, w) distance from walls; border:
     (h, w) cells at the end of the grid, where corridors may go on.

@@ -19,16 +19,7 @@ from ...topology.run import NOT_SEEN_AGAIN, Grid, ScanPasses, SeenAgain
 from ...topology.se2 import apply, compose, inverse, turned_axes, wrap
 from ...topology.topomap import RunNoise
 from ...topology.track import way_at
-from ...topology.views import (
-    CELL_M,
-    DISC,
-    FREE,
-    NO_VIEWS,
-    SIDE,
-    UNKNOWN,
-    WALL,
-    Views,
-)
+from ...topology.views import CELL_M, DISC, FREE, NO_VIEWS, SIDE, UNKNOWN, WALL, Views
 from ...topology.visits import carried_along
 from .floorplan import MOST_CELLS
 from .junctions import Driven

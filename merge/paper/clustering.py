@@ -67,9 +67,7 @@ class Clusters:
 
 
 def cluster(
-    h: Hypotheses,
-    xy: tuple[FloatArray, FloatArray],
-    settings: ClusterSettings = DEFAULT_CLUSTERS,
+    h: Hypotheses, xy: tuple[FloatArray, FloatArray], settings: ClusterSettings = DEFAULT_CLUSTERS
 ) -> Clusters:
     """Cluster hypotheses by complete linkage: any two of a cluster are within the threshold.
 

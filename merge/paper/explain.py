@@ -15,12 +15,7 @@ import numpy as np
 
 from ...topology.arrays import FloatArray, IntArray
 from ...topology.digits import rounded
-from ...topology.matching.correspondence import (
-    Nodes,
-    candidate_nodes,
-    node_codes,
-    node_rotations,
-)
+from ...topology.matching.correspondence import Nodes, candidate_nodes, node_codes, node_rotations
 from ...topology.topomap import TopoMap
 from ...topology.wording import counted
 from ..document import pose_to_document

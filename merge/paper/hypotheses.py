@@ -107,10 +107,7 @@ def hypothesise(
 
 
 def _grown(
-    a: Structure,
-    b: Structure,
-    settings: GrowthSettings,
-    near: tuple[IntArray, IntArray] | None,
+    a: Structure, b: Structure, settings: GrowthSettings, near: tuple[IntArray, IntArray] | None
 ) -> tuple[Growth, SingleMatches]:
     """The matches with corridors, and those without; near: from pairs of these vertices only."""
     if near is None:

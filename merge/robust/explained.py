@@ -23,15 +23,7 @@ from ...topology.wording import counted
 from ..decision import COMMON_LENGTH, Decision, Placement, Requirement, Term
 from ..kept import Kept
 from ..locks import Lock, discarded, lock_table
-from ..result import (
-    Alignment,
-    CopyTest,
-    MergeResult,
-    PairVerdict,
-    Verdict,
-    pairs_of,
-    shown_bits,
-)
+from ..result import Alignment, CopyTest, MergeResult, PairVerdict, Verdict, pairs_of, shown_bits
 from ..through import joined_through
 from ..wording import SAME_PLACE, decimals
 from .alignment import Candidate, match

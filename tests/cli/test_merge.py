@@ -91,19 +91,7 @@ def test_a_file_that_is_no_merge_is_not_overwritten(topobatch, workspace):
 
 
 @pytest.mark.parametrize(
-    "name",
-    [
-        "merged",
-        "Locks",
-        "maps",
-        "cache",
-        "../x",
-        ".hidden",
-        "",
-        "run1",
-        "a:b",
-        "x" * 300,
-    ],
+    "name", ["merged", "Locks", "maps", "cache", "../x", ".hidden", "", "run1", "a:b", "x" * 300]
 )
 def test_names_that_cannot_be_a_merges(topobatch, workspace, name):
     assert (workspace / "maps" / "run1.json").exists()

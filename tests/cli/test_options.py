@@ -66,15 +66,9 @@ def test_init_adds_to_what_is_remembered_or_forgets_it(topobatch, tmp_path) -> N
         ("laser-pos = 1", "knows no 'laser-pos'; there are: "),
         ("x = 1", "knows no 'x'; there are: odometry-topic,"),
         ("time =", "is no TOML: "),
-        (
-            "time = 2020-01-01",
-            "time: text, number, true, false or a list",
-        ),
+        ("time = 2020-01-01", "time: text, number, true, false or a list"),
         ("[time]\na = 1", "time: text, number, true, false or a list"),
-        (
-            "time = [['log']]",
-            "time: text, number, true, false or a list",
-        ),
+        ("time = [['log']]", "time: text, number, true, false or a list"),
         ("a = " + "[" * 5000, "is no TOML: "),
         ("time = 'now'", "time: Invalid value for '--time'"),
         ("robot-radius = 'wide'", "robot-radius: Invalid value for '--robot-radius'"),

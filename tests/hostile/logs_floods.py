@@ -35,12 +35,7 @@ from logs_bombs import (
 
 
 def _connection(number: int, topic: bytes, kind: bytes, definition: bytes = b"") -> bytes:
-    own = {
-        b"topic": topic,
-        b"type": kind,
-        b"md5sum": b"*",
-        b"message_definition": definition,
-    }
+    own = {b"topic": topic, b"type": kind, b"md5sum": b"*", b"message_definition": definition}
     data = b"".join(
         struct.pack("<I", len(name) + 1 + len(value)) + name + b"=" + value
         for name, value in own.items()

@@ -204,10 +204,7 @@ def _status(process: int, field: str) -> int:
 
 
 def run(
-    call: Callable[[], None],
-    folder: Path,
-    budget: Budget = Budget(),
-    file_bytes: int | None = None,
+    call: Callable[[], None], folder: Path, budget: Budget = Budget(), file_bytes: int | None = None
 ) -> Outcome:
     """Make a call in a process of its own, and wait for its end."""
     return Child(call, folder, budget, file_bytes).finish()

@@ -120,9 +120,7 @@ def ros_object(message: Message, store: Any, ros1: bool) -> Any:
                 covariance=np.eye(6).ravel(),
             ),
             twist=make(
-                "geometry_msgs/msg/TwistWithCovariance",
-                twist=twist,
-                covariance=np.eye(6).ravel(),
+                "geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=np.eye(6).ravel()
             ),
         )
     if message.type_name == POSE_ARRAY:

@@ -121,9 +121,7 @@ def test_two_lasers_are_no_worse_than_the_better_one(
     assert {uses[topic] for topic in topics} == {"scans"}
 
 
-def test_a_filtered_copy_is_left_out_and_named(
-    read: Callable[..., tuple[Path, Run]],
-) -> None:
+def test_a_filtered_copy_is_left_out_and_named(read: Callable[..., tuple[Path, Run]]) -> None:
     copy = [("/scan", "laser", slice(0, 120), 0), ("/scan_filtered", "laser", slice(20, 100), 0)]
     log, run = read(copy)
     assert "lasers" not in run.source["junctions"]

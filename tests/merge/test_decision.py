@@ -6,27 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from topobatch.merge.decision import (
-    Decision,
-    Placement,
-    Requirement,
-    Term,
-    to_document,
-)
-from topobatch.merge.decision_text import (
-    WIDTH,
-    advice,
-    because,
-    headline,
-    lies,
-    lines,
-    needs,
-)
-from topobatch.merge.result import (
-    Alignment,
-    PairVerdict,
-    Verdict,
-)
+from topobatch.merge.decision import Decision, Placement, Requirement, Term, to_document
+from topobatch.merge.decision_text import WIDTH, advice, because, headline, lies, lines, needs
+from topobatch.merge.result import Alignment, PairVerdict, Verdict
 from topobatch.merge.robust.verdict import MAYBE_COPY
 
 NEED = Requirement(12.55, 6, 0.001, 5, 4.0, 2.5)
@@ -73,12 +55,7 @@ def decision(verdict, bits, placements, **fields):
 
 
 MERGED = decision(Verdict.MERGED, 30.0, [placement(30.0)])
-AMBIGUOUS = decision(
-    Verdict.AMBIGUOUS,
-    9.93,
-    [placement(9.93), placement(4.0)],
-    why=MAYBE_COPY,
-)
+AMBIGUOUS = decision(Verdict.AMBIGUOUS, 9.93, [placement(9.93), placement(4.0)], why=MAYBE_COPY)
 AMBIGUOUS = replace(AMBIGUOUS, pair=replace(AMBIGUOUS.pair, advice="record " + "further " * 30))
 UNRELATED = decision(Verdict.UNRELATED, 1.5, [placement(1.5, 2, 1)])
 NOTHING = decision(Verdict.UNRELATED, 0.0, [])

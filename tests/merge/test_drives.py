@@ -150,10 +150,7 @@ def test_nothing_to_drive() -> None:
     back = np.array([1] * 10 + [0])
     ahead = np.array([0] + [1] * 10)
     driven = replace(
-        result.fused,
-        branches=Ragged.from_rows(branch),
-        source_branch=ahead,
-        target_branch=back * 0,
+        result.fused, branches=Ragged.from_rows(branch), source_branch=ahead, target_branch=back * 0
     )
     assert drives(replace(result, fused=driven)) == ()
     assert drives(MergeResult((), merge_of({"a": (0, 1, np.zeros(3))}, []).fused, ())) == ()

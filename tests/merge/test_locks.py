@@ -2,12 +2,7 @@
 
 import pytest
 
-from topobatch.merge.locks import (
-    Lock,
-    locks_from_document,
-    with_lock,
-    without_lock,
-)
+from topobatch.merge.locks import Lock, locks_from_document, with_lock, without_lock
 from topobatch.topology.errors import DocumentError, UsageError
 
 

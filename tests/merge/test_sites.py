@@ -4,12 +4,7 @@ from __future__ import annotations
 
 import itertools
 
-from topobatch.merge.sites import (
-    Origin,
-    SiteHistory,
-    moved_sites,
-    site_names,
-)
+from topobatch.merge.sites import Origin, SiteHistory, moved_sites, site_names
 
 
 def origins(*runs, folder=("logs",), **folders):

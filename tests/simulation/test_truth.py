@@ -10,12 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from topobatch.simulation.scenario import Scenario
-from topobatch.simulation.truth import (
-    MIXED,
-    WorldChange,
-    true_vertex_of_nodes,
-    write_truth,
-)
+from topobatch.simulation.truth import MIXED, WorldChange, true_vertex_of_nodes, write_truth
 from topobatch.topology.topomap import TopoMap
 
 from ..maps import straight_map

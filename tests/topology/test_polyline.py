@@ -7,13 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from topobatch.topology.polyline import (
-    join_centres,
-    loop_erased,
-    loop_width,
-    simplify,
-    way_of,
-)
+from topobatch.topology.polyline import join_centres, loop_erased, loop_width, simplify, way_of
 
 
 def test_simplified_lines_stay_near():

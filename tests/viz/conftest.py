@@ -6,14 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from topobatch.merge.result import (
-    Alignment,
-    Component,
-    FusedMap,
-    MergeResult,
-    PairVerdict,
-    Verdict,
-)
+from topobatch.merge.result import Alignment, Component, FusedMap, MergeResult, PairVerdict, Verdict
 from topobatch.topology.odometry import Odometry
 from topobatch.topology.ragged import Ragged
 from topobatch.topology.se2 import apply, compose, inverse, wrap
@@ -155,9 +148,7 @@ def _fused(parts: list[tuple[TopoMap, ...]]) -> FusedMap:
 
 
 @pytest.fixture
-def merge_of(
-    make_map: Callable[..., TopoMap],
-) -> Callable[..., tuple[MergeResult, list[TopoMap]]]:
+def merge_of(make_map: Callable[..., TopoMap]) -> Callable[..., tuple[MergeResult, list[TopoMap]]]:
     """merge_of([["a", "b"], ["c"]], ambiguous=[("a", "c")]): a merge with these components."""
 
     def make(

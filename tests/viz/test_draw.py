@@ -3,10 +3,7 @@ from dataclasses import replace
 
 import pytest
 
-from topobatch.viz.draw import (
-    draw_map,
-    draw_merged,
-)
+from topobatch.viz.draw import draw_map, draw_merged
 from topobatch.viz.palette import DARK, LIGHT
 
 from ..topology.floors import floor, views_at

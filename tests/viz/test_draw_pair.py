@@ -2,12 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from topobatch.merge.decision import (
-    Decision,
-    Placement,
-    Requirement,
-    Term,
-)
+from topobatch.merge.decision import Decision, Placement, Requirement, Term
 from topobatch.merge.result import Alignment, PairVerdict, Verdict
 from topobatch.topology.matching.views import AGREES, CONTRADICTS, SILENT, Compared
 from topobatch.viz.draw_pair import draw_decision

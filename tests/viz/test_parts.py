@@ -6,12 +6,7 @@ import numpy as np
 from topobatch.merge.result import MergeResult, Standing
 from topobatch.topology.topomap import TopoMap
 from topobatch.viz.pages import closure_texts, map_page, merge_page
-from topobatch.viz.parts import (
-    CLASS,
-    DIAGONAL,
-    runs_in_order,
-    verdict_matrix,
-)
+from topobatch.viz.parts import CLASS, DIAGONAL, runs_in_order, verdict_matrix
 
 Merge = Callable[..., tuple[MergeResult, list[TopoMap]]]
 

@@ -203,10 +203,7 @@ class _Edges:
 
 
 def _energy_and_freedom(
-    estimate: Estimate,
-    legs_by_walk: FloatArray,
-    variance: FloatArray,
-    grid: GridHeadings | None,
+    estimate: Estimate, legs_by_walk: FloatArray, variance: FloatArray, grid: GridHeadings | None
 ) -> tuple[FloatArray, FloatArray]:
     """(c,) each: squared error of each component in units of its variance, and degrees of
     freedom."""

@@ -61,10 +61,7 @@ def tmap2_yaml(topomap: TopoMap, max_error_m: float) -> str:
         node = {
             "name": names[k],
             "parent_frame": name,
-            "pose": {
-                "position": {"x": x, "y": y, "z": 0.0},
-                "orientation": NO_TURN,
-            },
+            "pose": {"position": {"x": x, "y": y, "z": 0.0}, "orientation": NO_TURN},
             "properties": {
                 "xy_goal_tolerance": min(GOAL_TOLERANCE_M, half),
                 "yaw_goal_tolerance": ANY_YAW_RAD,

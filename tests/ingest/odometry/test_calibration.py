@@ -8,11 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from topobatch.ingest.odometry.calibration import (
-    Calibration,
-    apply_calibration,
-    calibrate,
-)
+from topobatch.ingest.odometry.calibration import Calibration, apply_calibration, calibrate
 from topobatch.simulation.scenario import simulate_scenario
 from topobatch.simulation.settings import ScenarioSettings
 from topobatch.topology.odometry import Odometry

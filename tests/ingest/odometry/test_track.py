@@ -89,10 +89,7 @@ def test_gaps_are_reported_and_driving_through_them_is_no_teleport():
 @given(
     st.lists(
         st.tuples(
-            st.integers(0, 10**11),
-            st.floats(-1e6, 1e6),
-            st.floats(-1e6, 1e6),
-            st.floats(-3.2, 3.2),
+            st.integers(0, 10**11), st.floats(-1e6, 1e6), st.floats(-1e6, 1e6), st.floats(-3.2, 3.2)
         ),
         min_size=1,
         max_size=60,

@@ -102,16 +102,7 @@ def faults(servers: ModuleType) -> dict[str, tuple[Any, str]]:
 
 @pytest.mark.parametrize(
     "kind",
-    [
-        "fails",
-        "cuts",
-        "stalls",
-        "denies",
-        "sends all",
-        "another place",
-        "another size",
-        "too much",
-    ],
+    ["fails", "cuts", "stalls", "denies", "sends all", "another place", "another size", "too much"],
 )
 @pytest.mark.parametrize("first", [0, 1])
 def test_what_cannot_be_read_is_an_error_that_names_bucket_and_key(

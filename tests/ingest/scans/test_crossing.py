@@ -6,11 +6,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from topobatch.ingest.scans.crossing import (
-    BendTally,
-    crossing,
-    placed,
-)
+from topobatch.ingest.scans.crossing import BendTally, crossing, placed
 from topobatch.ingest.scans.skeleton import Node, SkeletonGraph, SkeletonSettings, thin, traced
 from topobatch.ingest.scans.skeleton_lines import Lines, lines_of
 from topobatch.topology.se2 import wrap

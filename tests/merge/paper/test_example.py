@@ -78,10 +78,7 @@ QUARTER_TURN = {("a1", "b7"), ("a2", "b4"), ("a5", "b5"), ("a4", "b8"), ("a6", "
 def _example(draw, request):
     stubs = [(word[:2], HEADING[word[2]]) for word in UNEXPLORED[request.param].split()]
     of = {m: [stub for stub in stubs if stub[0][0] == m] for m in "ab"}
-    return (
-        draw("a", A_CORNERS, A_CORRIDORS, of["a"]),
-        draw("b", B_CORNERS, B_CORRIDORS, of["b"]),
-    )
+    return (draw("a", A_CORNERS, A_CORRIDORS, of["a"]), draw("b", B_CORNERS, B_CORRIDORS, of["b"]))
 
 
 def matched(example):

@@ -60,10 +60,7 @@ def test_a_wrong_noise_costs_recall_at_most():
         assert count < 1.5 * len(set(truth)) < len(truth)
 
 
-@pytest.mark.parametrize(
-    ("heading_noise", "seed", "found_again"),
-    [(0.001, 0, 100), (0.008, 2, 0)],
-)
+@pytest.mark.parametrize(("heading_noise", "seed", "found_again"), [(0.001, 0, 100), (0.008, 2, 0)])
 def test_equal_rows_side_by_side_are_not_taken_for_each_other(heading_noise, seed, found_again):
     rng = np.random.default_rng(40 + seed)
     world = aisles(14)

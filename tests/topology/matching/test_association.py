@@ -8,13 +8,8 @@ import numpy as np
 import pytest
 
 from topobatch.topology.errors import UsageError
-from topobatch.topology.matching.association import (
-    Growth,
-    grow,
-)
-from topobatch.topology.matching.correspondence import (
-    GrowthSettings,
-)
+from topobatch.topology.matching.association import Growth, grow
+from topobatch.topology.matching.correspondence import GrowthSettings
 from topobatch.topology.matching.structure import prepare
 from topobatch.topology.ragged import Ragged
 from topobatch.topology.topomap import TopoMap

@@ -6,9 +6,7 @@ import numpy as np
 
 from topobatch.topology.posegraph.graph import PoseGraph
 from topobatch.topology.posegraph.marginals import Marginals
-from topobatch.topology.posegraph.samples import (
-    SampledMarginals,
-)
+from topobatch.topology.posegraph.samples import SampledMarginals
 from topobatch.topology.posegraph.solve import solve
 
 

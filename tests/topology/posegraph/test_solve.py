@@ -75,11 +75,7 @@ def oracle(graph: PoseGraph, start: np.ndarray, fixed: np.ndarray) -> tuple[np.n
         return np.concatenate([whole, (prior_root * prior_errors(graph, pose)).ravel(), belief])
 
     found = least_squares(
-        residuals,
-        np.concatenate([np.zeros(k), start[~fixed]]),
-        xtol=1e-12,
-        ftol=1e-14,
-        gtol=1e-12,
+        residuals, np.concatenate([np.zeros(k), start[~fixed]]), xtol=1e-12, ftol=1e-14, gtol=1e-12
     )
     pose = start.copy()
     pose[~fixed] = found.x[k:]

@@ -12,10 +12,7 @@ from .readers import read_graphml, text_of
 
 
 def test_graphml_holds_what_the_document_holds(driven) -> None:
-    graph, document = (
-        read_graphml(text_of(driven[1], "graphml")),
-        map_to_document(driven[1]),
-    )
+    graph, document = (read_graphml(text_of(driven[1], "graphml")), map_to_document(driven[1]))
     ours = nx.node_link_graph(document, edges="edges")
     assert nx.utils.graphs_equal(
         nx.MultiGraph(ours.edges(keys=True)), nx.MultiGraph(graph.edges(keys=True))
