@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from itertools import compress, pairwise
+from itertools import compress, pairwise, tee
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -13,7 +13,7 @@ import numpy as np
 from ...topology.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from ...topology.columns import take
 from ...topology.digits import BITS
-from ...topology.se2 import apply, compose, fit_groups, fit_rigid, wrap
+from ...topology.se2 import apply, compose, fit_groups, fit_rigid, inverse, wrap
 from .atlas import Atlas, Lanes, cuts
 from .conflicts import NO_CONFLICTS, Conflicts, conflicts
 from .growth import Grown, grow, ungrown
@@ -102,6 +102,19 @@ class Candidate:
         agreement = self.bits + against - by_views
         return min(agreement, MATCH.junction_bits * len(self)) + by_views - against
 
+    def exchanged(self) -> Candidate:
+        """The same with a and b exchanged."""
+        return replace(
+            self,
+            transform=inverse(self.transform),
+            a=self.b,
+            b=self.a,
+            turn=self.turn.conj(),
+            support=replace(self.support, corridors=self.corridors[:, ::-1]),
+            conflicts=self.conflicts.exchanged(),
+            views=self.views.exchanged(),
+        )
+
     def move(self, z: complex) -> complex:
         """Position in a of a point x + iy of b."""
         return complex(moved(self.transform, z))
@@ -155,10 +168,24 @@ def match(
 def match_all(
     pairs: Iterable[tuple[Prepared, Prepared]], settings: RobustSettings, *, thorough: bool = False
 ) -> Iterator[tuple[Candidate, ...]]:
-    """`match` for many pairs, each as if it were alone, in batches of `most_pairs` links."""
-    cases = (_best_hypotheses(a, b, settings) for a, b in pairs)
-    for batch in _batches(cases, lambda case: len(case[1]), MATCH.most_pairs):
-        yield from _match_batch(batch, settings, thorough=thorough)
+    """`match` for many pairs, each as if it were alone, in batches of `most_pairs` links.
+
+    The map whose content sorts first is searched in: neither the names of runs nor the order of two
+    maps change what is found.
+    """
+    pairs, ordered = tee(pairs)
+    cases = (_best_hypotheses(*sorted(pair, key=_content), settings) for pair in ordered)
+    batches = _batches(cases, lambda case: len(case[1]), MATCH.most_pairs)
+    results = (
+        found for batch in batches for found in _match_batch(batch, settings, thorough=thorough)
+    )
+    for (a, b), found in zip(pairs, results, strict=True):
+        is_ordered = _content(a) <= _content(b)
+        yield found if is_ordered else tuple(c.exchanged() for c in found)
+
+
+def _content(m: Prepared) -> tuple[bytes, ...]:
+    return m.z.tobytes(), m.length.tobytes(), m.views.pose.tobytes()
 
 
 def _best_hypotheses(

@@ -67,6 +67,10 @@ class Conflicts:
     def __len__(self) -> int:
         return len(self.in_a) + len(self.in_b) + len(self.elsewhere)
 
+    def exchanged(self) -> Conflicts:
+        """The same with a and b exchanged."""
+        return replace(self, in_a=self.in_b, in_b=self.in_a, elsewhere=self.elsewhere[:, ::-1])
+
     def bounded(self, bound_a: FloatArray, bound_b: FloatArray) -> Conflicts:
         """The same, with upper bounds of the weights of undetected junctions [bits]."""
         bounded = ((self.in_a, bound_a), (self.in_b, bound_b))

@@ -10,7 +10,7 @@ placements of the two maps, and of each map on itself)?
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import pairwise
 
@@ -20,7 +20,15 @@ from ...topology.arrays import BoolArray, FloatArray, IntArray
 from ...topology.columns import take
 from ...topology.matching.likelihood import BIT
 from ...topology.matching.views import LEAST_SAME, Registered, register
-from ...topology.se2 import apply, between, compose, fit_rigid, rigid_from_sums
+from ...topology.se2 import (
+    apply,
+    between,
+    compose,
+    fit_rigid,
+    inverse,
+    rigid_from_sums,
+    turned_axes,
+)
 from ...topology.views import Views
 from ..wording import AGREES_BITS
 from .settings import MATCH
@@ -100,6 +108,18 @@ class ViewEvidence:
     def self_similarity(self) -> float:
         """0 to 1: how far the buildings repeat themselves, by the z of copies; 1 without views."""
         return _self_similarity(*self.null) if len(self) else 1.0
+
+    def exchanged(self) -> ViewEvidence:
+        """The same with a and b exchanged."""
+        jacobian = -turned_axes(self.transform[:, 2])  # of the transform by its inverse
+        jacobian[:, 0, 2], jacobian[:, 1, 2] = self.transform[:, 1], -self.transform[:, 0]
+        return replace(
+            self,
+            first=self.second,
+            second=self.first,
+            transform=inverse(self.transform),
+            information=jacobian.swapaxes(1, 2) @ self.information @ jacobian,
+        )
 
     def residual_m(self, a: Views, b: Views) -> float:
         """Root mean square residual [m] of one rigid motion of b fitted to the registered

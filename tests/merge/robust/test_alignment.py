@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from topobatch.merge.codec import to_bytes
-from topobatch.merge.robust.alignment import match, match_all, same_placement
+from topobatch.merge.robust.alignment import match, match_all, same_matches, same_placement
 from topobatch.merge.robust.prepare import prepare
 from topobatch.topology.se2 import inverse
 
@@ -57,5 +57,8 @@ def test_views_judge_what_junctions_propose(halves):
         after = match(prepare(seen), prepare(beside), SETTINGS)
         same = next(c for c in after if same_placement(c, before, prepare(right)))
         assert len(same.views) > 0
+        exchanged = [c.exchanged() for c in match(prepare(beside), prepare(seen), SETTINGS)]
+        assert [c.bits for c in exchanged] == [c.bits for c in after]
+        assert all(map(same_matches, exchanged, after))
         assert (same.views.total > 10) == better
         assert (same.bits > before.bits) == better

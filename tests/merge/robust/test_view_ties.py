@@ -35,6 +35,14 @@ def seen_by_both():
     return a, b, view_evidence(overlap, [], (repeats(a.views), repeats(b.views)), np.zeros(0))
 
 
+def test_views_of_exchanged_maps_are_as_well_registered() -> None:
+    *_, views = seen_by_both()
+    exchanged, error = views.exchanged(), np.array([1e-6, -2e-6, 3e-6])
+    change = inverse(views.transform + error) - exchanged.transform
+    weighted = np.einsum("ki,kij,kj->k", change, exchanged.information, change)
+    np.testing.assert_allclose(weighted, (views.information @ error) @ error, rtol=1e-4)
+
+
 def test_ties_say_where_junctions_lie() -> None:
     a, b, views = seen_by_both()
     ties = view_ties(prepare(a), prepare(b), views)
