@@ -281,12 +281,12 @@ def advice(decision: Decision) -> str:
     return f"To settle it: {pair.advice}" if open_ and pair.advice else ""
 
 
-_ADVISED = re.compile(r"the corridor that (.+) drove from its junction (\d+) to (\d+) ")
+_ADVISED = re.compile(r"the corridor that (.+) (?:drove|shows) from its junction (\d+) to (\d+) ")
 
 
 def to_record(pair: PairVerdict) -> tuple[str, tuple[int, int]] | None:
-    """The corridor that the advice on a pair names: the run that drove it, and its ends in the map
-    of that run; None where it names none."""
+    """The corridor that the advice on a pair names: the run that has it, and its ends in the map of
+    that run; None where it names none."""
     found = _ADVISED.search(pair.advice or "")
     return None if found is None else (found[1], (int(found[2]), int(found[3])))
 

@@ -46,8 +46,8 @@ class Verdict(StrEnum):
 
 
 class Standing(StrEnum):
-    """The final state of a pair, for people. JOINED: unrelated by itself, but in one component;
-    KEPT_OUT: it fits, but a later check refused it."""
+    """The final state of a pair, for people. JOINED: by itself it lacks evidence, but other runs
+    bring it into one component; KEPT_OUT: it fits, but a later check refused it."""
 
     MERGED = "merged"
     JOINED = "joined through others"
@@ -165,11 +165,10 @@ class PairVerdict:
         """The final state of the pair."""
         if self.accepted:
             return Standing.MERGED
-        if self.verdict is Verdict.AMBIGUOUS:
-            return Standing.AMBIGUOUS
         if self.verdict is Verdict.MERGED:
             return Standing.KEPT_OUT
-        return Standing.JOINED if self.through else Standing.UNRELATED
+        is_refused = self.verdict is Verdict.AMBIGUOUS and not self.lacks
+        return Standing.JOINED if self.through and not is_refused else Standing(self.verdict)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -255,10 +255,13 @@ def advice(a: Prepared, b: Prepared, assessment: Assessment) -> str | None:
 
     best_option = max(options, key=lambda o: (refutes(o), o.length, -o.other_vertex))
     driver, vertex, end, length, other, other_vertex = best_option
+    record, beyond = f"record with {other.run}'s robot", "where that run turned another way"
+    if not other.topomap.is_driven:
+        record, beyond = "record", "a saved map that does not show where it leads"
+    known = "drove" if driver.topomap.is_driven else "shows"
     return (
-        f"record with {other.run}'s robot the corridor that {driver.run} drove from its "
-        f"junction {vertex} to {end} ({length:.1f} m): it leaves junction {other_vertex} "
-        f"of {other.run}, where that run turned another way"
+        f"{record} the corridor that {driver.run} {known} from its junction {vertex} to {end} "
+        f"({length:.1f} m): it leaves junction {other_vertex} of {other.run}, {beyond}"
     )
 
 
