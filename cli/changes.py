@@ -12,7 +12,7 @@ from ..merge.result import Component, MergeResult
 from ..topology.wording import counted, listed
 from ..viz.parts import in_order
 from .draw import picture_form, quiet_fonts, walled
-from .options import ComponentOption, HereWithMerge, JsonOption, ThemeOption, argument, option, verb
+from .options import ComponentOption, HereWithMerge, JsonOption, ThemeOption, verb
 from .output import say, say_folded, say_json, write_files
 from .workspace import Workspace
 
@@ -22,14 +22,13 @@ if TYPE_CHECKING:  # which loads matplotlib
 
 @verb
 def changes(
-    site: Annotated[str | None, argument("SITE", "Only this site (topobatch list).")] = None,
+    site: Annotated[str | None, "SITE", "Only this site (topobatch list)."] = None,
     component: ComponentOption = None,
-    everything: Annotated[
-        bool, option("--all", "Also differences that may be due to chance.")
-    ] = False,
+    everything: Annotated[bool, "--all", "Also differences that may be due to chance."] = False,
     output: Annotated[
         list[Path] | None,
-        option("--output -o FILE", "Also draw them there (.svg, .png); may be given twice."),
+        "--output -o FILE",
+        "Also draw them there (.svg, .png); may be given twice.",
     ] = None,
     theme: ThemeOption = "light",
     *,

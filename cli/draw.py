@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from ..merge.result import Component
 from ..topology.errors import UsageError
 from ..topology.topomap import TopoMap
-from .options import Here, ThemeOption, argument, complete_run, verb
+from .options import RUNS, Here, ThemeOption, verb
 from .output import checked_output, say, write_files
 from .workspace import Workspace
 
@@ -23,14 +23,12 @@ if TYPE_CHECKING:  # which loads matplotlib
 def draw(
     what: Annotated[
         str,
-        argument(
-            "RUN|SITE|merged|A:B",
-            "A run or a site, for its map; merged, or the --output NAME of a merge; or two "
-            "runs, for why they were merged or not.",
-            autocompletion=complete_run,
-        ),
+        "RUN|SITE|merged|A:B",
+        "A run or a site, for its map; merged, or the --output NAME of a merge; or two runs, for "
+        "why they were merged or not.",
+        RUNS,
     ],
-    out: Annotated[Path, argument("OUT.svg|OUT.png", "The picture to write.")],
+    out: Annotated[Path, "OUT.svg|OUT.png", "The picture to write."],
     place: Here,
     theme: ThemeOption = "light",
 ) -> None:

@@ -21,17 +21,7 @@ from ..viz.exports import map_texts
 from ..viz.exports.pose_graph import pose_graph_g2o
 from ..viz.exports.tum import corrected_tum, recorded_tum
 from .export_grid import PICTURE, Exported, grid_of_saved, grid_texts, log_of
-from .options import (
-    ComponentOption,
-    Here,
-    JsonOption,
-    QuietOption,
-    SiteOption,
-    argument,
-    complete_run,
-    option,
-    verb,
-)
+from .options import RUNS, ComponentOption, Extra, Here, JsonOption, QuietOption, SiteOption, verb
 from .output import checked_output, say, say_json, say_text, show, warn, write_files
 from .workspace import MERGED, Named, Workspace
 
@@ -44,48 +34,36 @@ Format = StrEnum("Format", "nav2 lif rmf tmap2 graphml grid g2o tum csv")
 def export(
     forms: Annotated[
         list[Format],
-        option(
-            "--format -f",
-            "nav2: GeoJSON of the Nav2 route server; lif: VDMA LIF 1.0; rmf: Open-RMF "
-            "navigation graph; tmap2: LCAS topological map; graphml; grid: map.yaml and picture "
-            "of map_server and AMCL; g2o: pose graph; "
-            "tum: trajectories; csv: two tables.",
-        ),
+        "--format -f",
+        "nav2: GeoJSON of the Nav2 route server; lif: VDMA LIF 1.0; rmf: Open-RMF navigation "
+        "graph; tmap2: LCAS topological map; graphml; grid: map.yaml and picture of map_server and "
+        "AMCL; g2o: pose graph; tum: trajectories; csv: two tables.",
     ],
     what: Annotated[
         str,
-        argument(
-            "[RUN|SITE|merged]",
-            "A run, a site, or all sites of the merged map (merged, which is the default, or "
-            "the --output NAME of a merge).",
-            show_default=False,
-            autocompletion=complete_run,
-        ),
+        "[RUN|SITE|merged]",
+        "A run, a site, or all sites of the merged map (merged, which is the default, or the "
+        "--output NAME of a merge).",
+        RUNS,
+        Extra(show_default=False),
     ] = MERGED,
     output: Annotated[
         Path | None,
-        option(
-            "--output -o FILE",
-            "File to write, - for the standard output; default: in the workspace's exports/.",
-        ),
+        "--output -o FILE",
+        "File to write, - for the standard output; default: in the workspace's exports/.",
     ] = None,
     site: SiteOption = None,
     component: ComponentOption = None,
     tolerance: Annotated[
         float,
-        option(
-            "--tolerance METRES",
-            "How far a corridor may lie from its straight pieces (nav2, lif, rmf, tmap2).",
-            min=0.001,
-            max=10.0,
-        ),
+        "--tolerance METRES",
+        "How far a corridor may lie from its straight pieces (nav2, lif, rmf, tmap2).",
+        Extra(min=0.001, max=10.0),
     ] = 0.05,
     log: Annotated[
         Path | None,
-        option(
-            "--log LOG",
-            "Where the log of the run is now, for tum and grid; default: where ingest read it.",
-        ),
+        "--log LOG",
+        "Where the log of the run is now, for tum and grid; default: where ingest read it.",
     ] = None,
     *,
     place: Here,

@@ -17,7 +17,6 @@ from .options import (
     MapOptions,
     ReadOptions,
     describe_settings,
-    option,
     settings_text,
     taken,
     verb,
@@ -32,7 +31,7 @@ def init(
     read: ReadOptions,
     mapping: MapOptions,
     false_merge_rate: FalseMergeRate = None,
-    forget: Annotated[bool, option("--forget", "Forget what it remembered before.")] = False,
+    forget: Annotated[bool, "--forget", "Forget what it remembered before."] = False,
 ) -> None:
     """Have a workspace remember options, so that no call needs to repeat them.
 

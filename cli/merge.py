@@ -18,15 +18,13 @@ from .journal import note
 from .matching import MatchOptions, match_share, read_maps, resumable
 from .merges import last_merge, made
 from .options import (
+    RUNS,
     FalseMergeRate,
     Here,
     JsonOption,
     QuietOption,
     VerboseOption,
-    argument,
     by_settings,
-    complete_run,
-    option,
     verb,
 )
 from .output import is_verbose, say, say_folded, say_json, show, warn
@@ -49,11 +47,9 @@ class MethodOptions:
 
     method: Annotated[
         Literal["robust", "paper"],
-        option(
-            "--method",
-            "robust: tolerant matching, evidence in bits, three verdicts; "
-            "paper: Huang & Beevers, section by section, for comparison.",
-        ),
+        "--method",
+        "robust: tolerant matching, evidence in bits, three verdicts; paper: Huang & Beevers, "
+        "section by section, for comparison.",
     ] = "robust"
     false_merge_rate: FalseMergeRate = None
 
@@ -72,21 +68,18 @@ class MethodOptions:
 @verb
 def merge(
     context: typer.Context,
-    runs: Annotated[
-        list[str] | None, argument("RUN", "Runs to merge, by name.", autocompletion=complete_run)
-    ] = None,
-    everything: Annotated[bool, option("--all", "Merge every run of the workspace.")] = False,
+    runs: Annotated[list[str] | None, "RUN", "Runs to merge, by name.", RUNS] = None,
+    everything: Annotated[bool, "--all", "Merge every run of the workspace."] = False,
     *,
     place: Here,
     how: MethodOptions,
     output: Annotated[
         str | None,
-        option(
-            "--output NAME", "Write NAME.json and NAME.rrd instead of merged.json and merged.rrd."
-        ),
+        "--output NAME",
+        "Write NAME.json and NAME.rrd instead of merged.json and merged.rrd.",
     ] = None,
     replace_last: Annotated[
-        bool, option("--replace", "Overwrite a merge of runs that this one leaves out.")
+        bool, "--replace", "Overwrite a merge of runs that this one leaves out."
     ] = False,
     paper: PaperOptions,
     where: MatchOptions,

@@ -13,7 +13,7 @@ from ..topology.errors import UsageError
 from ..topology.wording import counted
 from ..viz.exports.drives import drives_csv, drives_geojson
 from .draw import quiet_fonts, walled
-from .options import HereWithMerge, JsonOption, ThemeOption, argument, option, verb
+from .options import Extra, HereWithMerge, JsonOption, ThemeOption, verb
 from .output import checked_output, folded, say, say_folded, say_json, write_files
 from .workspace import Workspace
 
@@ -24,16 +24,14 @@ PLANS, PICTURES = (".csv", ".geojson"), (".svg", ".png")
 @verb
 def next_drives(
     site: Annotated[
-        str | None, argument("SITE|RUN", "Only drives that begin at this site, or join it.")
+        str | None, "SITE|RUN", "Only drives that begin at this site, or join it."
     ] = None,
-    most: Annotated[int, option("--drives -n N", "How many drives to list.", min=1)] = 5,
+    most: Annotated[int, "--drives -n N", "How many drives to list.", Extra(min=1)] = 5,
     output: Annotated[
         list[Path] | None,
-        option(
-            "--output -o FILE",
-            "Also write the plan there: a picture (.svg, .png), or its waypoints (.csv, "
-            ".geojson); may be given several times.",
-        ),
+        "--output -o FILE",
+        "Also write the plan there: a picture (.svg, .png), or its waypoints (.csv, .geojson); may "
+        "be given several times.",
     ] = None,
     theme: ThemeOption = "light",
     *,

@@ -20,7 +20,7 @@ from ..topology.topomap import TopoMap
 from ..topology.wording import counted, listed
 from .matching import kept_results, settings_of
 from .next_drives import nothing_worth
-from .options import HereWithMerge, QuietOption, argument, verb
+from .options import HereWithMerge, QuietOption, verb
 from .output import Advance, begin, checked_output, complain, progress, say, show, write_files
 from .stale import changed_since, describe_changed
 from .version import VERSION
@@ -36,7 +36,7 @@ STANDS_ON = ("numpy", "scipy", "pydantic", "rosbags", "bokeh", "rerun-sdk")
 @verb
 def report(
     out: Annotated[
-        Path | None, argument("OUT.html", "The page; default: report.html in the workspace.")
+        Path | None, "OUT.html", "The page; default: report.html in the workspace."
     ] = None,
     *,
     place: HereWithMerge,

@@ -33,36 +33,29 @@ from ..topology.files import read_bytes
 from ..topology.map_schema import FARTHEST_M
 from ..topology.se2 import wrap
 from ..topology.wording import quoted_formula
-from .options import HereWithMerge, QuietOption, argument, complete_run, option, verb
+from .options import RUNS, Extra, HereWithMerge, QuietOption, verb
 from .output import checked_output, complain, say, say_text, show, write_files
 from .workspace import MERGED, Workspace
 
 
 @verb
 def transfer(
-    places: Annotated[Path, argument("PLACES.csv", "Table name,x,y[,theta].")],
-    source: Annotated[
-        str,
-        option("--from RUN", "The run in whose map the places are.", autocompletion=complete_run),
-    ],
+    places: Annotated[Path, "PLACES.csv", "Table name,x,y[,theta]."],
+    source: Annotated[str, "--from RUN", "The run in whose map the places are.", RUNS],
     target: Annotated[
         str,
-        option(
-            "--to RUN|SITE",
-            "The run, or the site of --from (its name, or merged), to carry them to.",
-            autocompletion=complete_run,
-        ),
+        "--to RUN|SITE",
+        "The run, or the site of --from (its name, or merged), to carry them to.",
+        RUNS,
     ],
     within: Annotated[
         float,
-        option(
-            "--within METRES",
-            "A place that may be off by more (95 % bound) is not carried.",
-            min=0.01,
-        ),
+        "--within METRES",
+        "A place that may be off by more (95 % bound) is not carried.",
+        Extra(min=0.01),
     ] = 0.5,
     output: Annotated[
-        Path | None, option("--output -o FILE", "File to write; default: -, the standard output.")
+        Path | None, "--output -o FILE", "File to write; default: -, the standard output."
     ] = None,
     *,
     place: HereWithMerge,
