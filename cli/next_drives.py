@@ -12,7 +12,7 @@ from ..merge.result import Component, MergeResult, Standing
 from ..topology.errors import UsageError
 from ..topology.wording import counted
 from ..viz.exports.drives import drives_csv, drives_geojson
-from .draw import quiet_fonts, walled
+from .draw import merge_picture, picture_form
 from .options import Extra, HereWithMerge, JsonOption, ThemeOption, verb
 from .output import checked_output, folded, say, say_folded, say_json, write_files
 from .workspace import Workspace
@@ -153,13 +153,7 @@ def _plan(
     suffix = path.suffix.lower()
     if suffix in PLANS:
         return drives_csv(found) if suffix == PLANS[0] else drives_geojson(found, left)
-    quiet_fonts()
-    from ..viz.draw import draw_merged
-    from ..viz.palette import THEMES
-
     begin = {d.component for d in found}
     sites = [c for c in result.components if (c.id in begin if found else c.name in shown)]
-    canvas = draw_merged(
-        result, THEMES[theme], sites=[c.id for c in sites], maps=walled(place, sites), drives=found
-    )
-    return canvas.as_bytes("svg" if suffix == PICTURES[0] else "png")
+    canvas = merge_picture(place, result, sites, theme, drives=found)
+    return canvas.as_bytes(picture_form(path))
