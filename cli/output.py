@@ -21,12 +21,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from textwrap import wrap
 from typing import Any, Protocol
 
 import typer
 
 from ..topology.errors import DataError, UsageError
+from ..topology.wording import folded as wrapped
 
 WIDTH, NARROWEST = 79, 40
 """Line width of sentences where no terminal tells its own, and its least: tables need as much."""
@@ -126,14 +126,7 @@ def say_row(line: str) -> None:
 
 def folded(text: str, indent: str = "      ") -> list[str]:
     """A long line as several of at most `width` letters, indented from the second on."""
-    return wrap(
-        plain(text),
-        width(),
-        subsequent_indent=indent,
-        drop_whitespace=True,
-        break_long_words=False,
-        break_on_hyphens=False,
-    )
+    return wrapped(plain(text), width(), rest=indent)
 
 
 def detail(text: str) -> None:
