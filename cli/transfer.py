@@ -19,7 +19,6 @@ import numpy as np
 import typer
 
 from ..merge.component_map import component_map
-from ..merge.result import home_of
 from ..merge.transfer import (
     WITHIN_SIGMAS,
     MatchedJunctions,
@@ -130,8 +129,8 @@ def _matched(place: Workspace, source: str, target: str) -> tuple[MatchedJunctio
     if source == target:
         raise UsageError(f"the places are in {source} already")
     result = place.read_result()
-    home = home_of(result.components)
-    names = {run: c.name for c in result.components for run in c.poses}
+    home = result.component_of
+    names = {run: c.name for run, c in home.items()}
     to_site = target not in home and target in (MERGED, place.merge, *names.values())
     named = [source] if to_site else [source, target]
     for run in named:
@@ -140,16 +139,17 @@ def _matched(place: Workspace, source: str, target: str) -> tuple[MatchedJunctio
             raise UsageError(f"{place.merged_json}: has no run {run!r}; merge it first")
     if to_site and target in names.values() and target != names[source]:
         return None, f"{source} is of the site {names[source]}, not of {target}"
-    if len({home[run] for run in named}) > 1:
+    if len({home[run].id for run in named}) > 1:
         found = (v for v in result.verdicts if {v.a, v.b} == {source, target})
         why = next((f": {v.verdict}, {v.reason}" for v in found), "")
         return None, f"{source} and {target} are not merged{why}"
-    maps = place.maps_as_merged(result, home[source], named)
+    component = home[source].id
+    maps = place.maps_as_merged(result, component, named)
     if len(named) == 2:
         matched = junctions_of_runs(result, maps, source, target)
     else:
         with place.document_at_fault():
-            fused = component_map(result, home[source], MERGED)
+            fused = component_map(result, component, MERGED)
         matched = junctions_of_merged(result, maps[source], fused)
     if not len(matched):
         why = f"no junction of {source} is matched to one of {target}"

@@ -1,16 +1,13 @@
-"""A merge to be shown: its components in order and on a sheet, colours of runs, and the matrix of
-verdicts."""
+"""A merge to be shown: its components in order and on a sheet, and colours of runs."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..merge.result import Component, MergeResult, PairVerdict, Standing
+from ..merge.result import Component, MergeResult
 from ..topology.arrays import FloatArray, IntArray
 from . import palette
 from .sheet import Cell, arrange, upright_rad
@@ -86,39 +83,6 @@ def colours_of(
     }
 
 
-DIAGONAL = 0
-CLASS = {standing: k for k, standing in enumerate(Standing, start=DIAGONAL + 1)}
-"""Class of each standing in the verdict matrix."""
-
-
 def runs_in_order(result: MergeResult) -> list[str]:
     """All runs by component, `in_order`."""
     return [run for component in in_order(result) for run in sorted(component.poses)]
-
-
-def spans_of(result: MergeResult) -> list[tuple[str, int, int]]:
-    """The name of every site, its first row by `runs_in_order`, and the row after its last."""
-    order = in_order(result)
-    stops = np.cumsum([0, *(len(c.poses) for c in order)]).tolist()
-    return [(c.name, *ends) for c, ends in zip(order, pairwise(stops), strict=True)]
-
-
-def verdict_matrix(result: MergeResult, runs: Sequence[str]) -> NDArray[np.uint8]:
-    """(n, n) classes of all pairs, symmetric, rows and columns in the given order."""
-    row = {run: i for i, run in enumerate(runs)}
-    matrix = np.full((len(runs), len(runs)), CLASS[Standing.UNRELATED], np.uint8)
-    if result.unlisted is not None:
-        for component in result.components:  # pairs that are not listed
-            rows = [row[run] for run in component.poses if run in row]
-            matrix[np.ix_(rows, rows)] = CLASS[Standing.JOINED]
-    np.fill_diagonal(matrix, DIAGONAL)
-    for pair in result.verdicts:
-        if pair.a in row and pair.b in row:
-            i, j = row[pair.a], row[pair.b]
-            matrix[i, j] = matrix[j, i] = CLASS[pair.standing]
-    return matrix
-
-
-def strongest(pairs: Iterable[PairVerdict]) -> list[PairVerdict]:
-    """Pairs in descending order of evidence, then by name."""
-    return sorted(pairs, key=lambda p: (-p.evidence_bits, p.a, p.b))
