@@ -123,10 +123,12 @@ def _sources(found: Named, site: str | None, component: int | None) -> list[Expo
         return [Exported(found.run, topomap, {found.run: topomap})]
     result = place.read_result()
     one = place.component(result, site or found.site, component)
-    chosen = [c for c in result.components if one in (None, c.id)]
     stem = "" if place.merge == MERGED else f"{place.merge}-"
-    names = {c.id: f"{stem}{c.site or f'{MERGED}-{c.id}'}" for c in chosen}
-    return [_component(place, result, c, names[c.id]) for c in chosen]
+    return [
+        _component(place, result, c, f"{stem}{c.site or f'{MERGED}-{c.id}'}")
+        for c in result.components
+        if one in (None, c.id)
+    ]
 
 
 def _component(place: Workspace, result: MergeResult, component: Component, name: str) -> Exported:
