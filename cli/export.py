@@ -145,7 +145,7 @@ def _component(place: Workspace, result: MergeResult, component: Component, name
     with place.document_at_fault():
         topomap = component_map(result, component.id, name, maps)
     kept = {run: m for run, m in maps.items() if run not in stale}
-    return Exported(name, topomap, kept, result, component)
+    return Exported(name, topomap, kept, (result, component))
 
 
 def _texts(
@@ -191,10 +191,11 @@ def _texts(
 def _told_what_is_gone(place: Workspace, source: Exported) -> TopoMap:
     """The map of a site with the corridors that its latest runs did not find, of which a warning
     tells; of other maps, and of stale ones, the map as it is."""
-    site = source.component
-    if source.result is None or site is None or site.poses.keys() != source.maps.keys():
+    if source.merge is None:
         return source.topomap
-    gone = last_found(source.result, site.id, source.maps)
+    result, site = source.merge
+    whole = site.poses.keys() == source.maps.keys()
+    gone = last_found(result, site.id, source.maps) if whole else {}
     if not gone:
         return source.topomap
     marked = "are gone: marked" if len(gone) > 1 else "is gone: marked"
@@ -204,25 +205,25 @@ def _told_what_is_gone(place: Workspace, source: Exported) -> TopoMap:
 
 
 def _pose_graph(source: Exported) -> str:
-    if source.result is None or source.component is None:
+    if source.merge is None:
         return pose_graph_g2o(map_pose_graph(source.topomap))
-    gone = sorted(source.component.poses.keys() - source.maps.keys())
-    if gone:
+    result, site = source.merge
+    if gone := sorted(site.poses.keys() - source.maps.keys()):
         raise DataError(
             f"{source.name}: the joint pose graph needs the maps that were merged; "
             f"{listed(gone, 3)} {'is' if len(gone) == 1 else 'are'} not among them: merge again"
         )
-    return pose_graph_g2o(component_pose_graph(source.result, source.component.id, source.maps))
+    return pose_graph_g2o(component_pose_graph(result, site.id, source.maps))
 
 
 def _trajectories(place: Workspace, source: Exported, log: Path | None) -> dict[str, str]:
     """The odometry of every run, as recorded and corrected, from its log; maps of grids have
     none."""
-    poses = {} if source.component is None else source.component.poses
+    poses = source.merge[1].poses if source.merge else {}
     out = {}
     for run, topomap in sorted(source.maps.items()):
         if not topomap.is_driven:
-            if source.component is not None:
+            if source.merge:
                 warn(f"{run}: is the map of a grid, which nobody drove: no trajectory")
             continue
         at = log_of(place, run, log)
@@ -232,7 +233,7 @@ def _trajectories(place: Workspace, source: Exported, log: Path | None) -> dict[
             raise DataError(
                 f"run {run}: no junction pass of its map lies within the odometry of its log"
             )
-        stem = "" if source.component is None else f".{run}"
+        stem = f".{run}" if source.merge else ""
         out[f"{stem}.recorded.tum"] = recorded_tum(odometry)
         out[f"{stem}.corrected.tum"] = corrected
     return out

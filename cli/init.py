@@ -17,6 +17,7 @@ from .options import (
     MapOptions,
     ReadOptions,
     describe_settings,
+    flag,
     settings_text,
     taken,
     verb,
@@ -46,7 +47,7 @@ def init(
     given = taken(context, GIVEN if forget else (*GIVEN, *REMEMBERED))
     for name, value in given.items():
         if isinstance(value, str) and not value.isprintable():
-            raise UsageError(f"--{name.replace('_', '-')} is {value!r}, which is no name")
+            raise UsageError(f"{flag(name)} is {value!r}, which is no name")
     # Numbers that make no sense are refused here, not by the next call.
     read.settings()
     text = settings_text(given)

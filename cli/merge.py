@@ -243,8 +243,8 @@ def _next_steps(result: MergeResult, place: Workspace) -> Iterator[str]:
             yield f"name a site: {place.call('site', run, 'NAME')}"
             break
     if open_ := result.standings()[Standing.AMBIGUOUS]:
-        pairs = f"{counted(open_, 'pair')} {'is' if open_ == 1 else 'are'} open"
-        yield f"{pairs}; what to record to settle most: {place.call('next', *place.of_merge)}"
+        pairs, call = counted(open_, "pair is", "pairs are"), place.call("next", *place.of_merge)
+        yield f"{pairs} open; what to record to settle most: {call}"
     if place.merge == MERGED:
         yield f"all on one page: {place.call('report')}"
         yield f"route graphs: {place.call('export', '--format', 'nav2')}"

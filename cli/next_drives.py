@@ -133,8 +133,8 @@ def _not_to_settle(result: MergeResult, place: Workspace, about: Component | Non
     if not open_:
         return ""
     return (
-        f"{counted(open_, 'pair')} of runs {'is' if open_ == 1 else 'are'} open, but no drive is "
-        "likely to settle any: what it would find looks alike elsewhere; if you know: "
+        f"{counted(open_, 'pair of runs is', 'pairs of runs are')} open, but no drive is likely to "
+        "settle any: what it would find looks alike elsewhere; if you know: "
         f"{place.call('lock', 'A', 'B', '--same')}, or --never"
     )
 

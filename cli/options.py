@@ -103,10 +103,10 @@ def _with_settings(context: typer.Context, workspace: Path) -> Path:
         try:
             own[name].process_value(context, value)
         except TyperException as error:
-            why = f"{_option(name)}: {error.format_message()}"
+            why = f"{option_name(name)}: {error.format_message()}"
             raise DocumentError(f"{place.settings_toml}: {why}") from error
     context.default_map = settings
-    remember(place.settings_toml, lambda: (f"--{_option(n)}" for n in taken(context, REMEMBERED)))
+    remember(place.settings_toml, lambda: map(flag, taken(context, REMEMBERED)))
     return workspace
 
 
@@ -323,15 +323,21 @@ def settings_of(place: Workspace) -> dict[str, str]:
         return {}
     except (ValueError, RecursionError) as error:
         raise DocumentError(f"{path}: is no TOML: {error}") from error
-    known = {_option(name): name for name in NAMES}
+    known = {option_name(name): name for name in NAMES}
     for key in found:
         if key not in known:
             raise DocumentError(f"{path}: knows no {key!r}; there are: {', '.join(known)}")
     return {known[key]: _text(value, f"{path}: {key}") for key, value in found.items()}
 
 
-def _option(name: str) -> str:
+def option_name(name: str) -> str:
+    """What a parameter's option is called in settings.toml."""
     return name.replace("_", "-")
+
+
+def flag(name: str) -> str:
+    """What it is called in a call."""
+    return f"--{option_name(name)}"
 
 
 def _text(value: Any, where: str) -> str:
@@ -350,7 +356,7 @@ def settings_text(settings: Mapping[str, Any]) -> str:
         for name in NAMES
         if name in settings
     }
-    return "".join(f"{_option(name)} = {text}\n" for name, text in texts.items())
+    return "".join(f"{option_name(name)} = {text}\n" for name, text in texts.items())
 
 
 def by_settings(context: typer.Context, place: Workspace) -> str:
@@ -363,4 +369,4 @@ def by_settings(context: typer.Context, place: Workspace) -> str:
 
 def describe_settings(settings: Mapping[str, Any]) -> str:
     """The settings in one line; "" without any."""
-    return ", ".join(f"{_option(name)} = {value}" for name, value in settings.items())
+    return ", ".join(f"{option_name(name)} = {value}" for name, value in settings.items())
