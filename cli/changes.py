@@ -44,20 +44,19 @@ def changes(
     """
     forms = {path: picture_form(path) for path in output or ()}
     result = place.read_result()
-    component = place.component(result, site, component)
+    chosen = place.component(result, site, component)
+    several = [c for c in in_order(result) if len(c.poses) > 1 and chosen in (None, c.id)]
     found: list[Change] = []
     saved: list[str] = []
-    several, compared = [], []
-    for one in in_order(result):
-        if len(one.poses) > 1 and component in (None, one.id):
-            several.append(one)
-            maps = place.maps_as_merged(result, one.id, sorted(one.poses))
-            with place.document_at_fault():
-                found += changes_of(result, one.id, maps)
-            not_driven = [run for run, m in maps.items() if not m.is_driven]
-            if len(maps) > len(not_driven) + 1:
-                compared.append(one)
-            saved += not_driven
+    compared = []
+    for one in several:
+        maps = place.maps_as_merged(result, one.id, sorted(one.poses))
+        with place.document_at_fault():
+            found += changes_of(result, one.id, maps)
+        not_driven = [run for run, m in maps.items() if not m.is_driven]
+        if len(maps) > len(not_driven) + 1:
+            compared.append(one)
+        saved += not_driven
     with_numbers = numbered(c for c in found if everything or c.sure)
     shown = [change for _, change in with_numbers]
     if forms:

@@ -109,7 +109,7 @@ def decided(place: Workspace, pair: tuple[str, str]) -> tuple[TopoMap, TopoMap, 
         ]
     else:
         merge = Merge.of(result, read, settings, place.locks(), kept)
-        new = changed_since(place, result.info.get("maps") or {}, pair)
+        new = changed_since(place, result, pair)
         notes = [f"{describe_changed(new)}; merge again"] if new else []
     decision = explain(merge, *pair)
     a, b = map(read, pair)

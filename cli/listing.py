@@ -152,7 +152,7 @@ def _listed(
     old = []
     if merged is not None and home is None:
         old.append("not merged")
-    elif merged is not None and changed_since(place, merged.info.get("maps") or {}, [run]):
+    elif merged is not None and changed_since(place, merged, [run]):
         old.append("map changed since the merge")
     if locked:
         old.append("lock changed: merge again")

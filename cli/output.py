@@ -294,14 +294,12 @@ def progress(label: str, total: int, unit: str = "") -> Iterator[Advance]:
     task = bar.add_task(label, total=total or None, amount="")
 
     def advance(done: int, words: str = "", doing: str = "", kept: int = 0) -> None:
-        known = words
-        if unit == "bytes" and not known and not doing:
-            known = f"{megabytes(done)} of {megabytes(total)} MB"
-        elif unit and not known and not doing:
-            known = f"{done:,} of {total:,} {unit}"
+        if unit and not words and not doing:
+            in_bytes = f"{megabytes(done)} of {megabytes(total)} MB"
+            words = in_bytes if unit == "bytes" else f"{done:,} of {total:,} {unit}"
         # The time left goes by the fresh work alone.
-        bar.update(task, total=max(total - kept, 0) or None, completed=done - kept)
-        bar.update(task, amount=known, description=doing or label)
+        fresh = {"total": max(total - kept, 0) or None, "completed": done - kept}
+        bar.update(task, amount=words, description=doing or label, **fresh)
 
     with bar:
         _call.bar = bar
