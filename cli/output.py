@@ -298,8 +298,8 @@ def progress(label: str, total: int, unit: str = "") -> Iterator[Advance]:
             in_bytes = f"{megabytes(done)} of {megabytes(total)} MB"
             words = in_bytes if unit == "bytes" else f"{done:,} of {total:,} {unit}"
         # The time left goes by the fresh work alone.
-        fresh = {"total": max(total - kept, 0) or None, "completed": done - kept}
-        bar.update(task, amount=words, description=doing or label, **fresh)
+        bar.update(task, total=max(total - kept, 0) or None, completed=done - kept)
+        bar.update(task, amount=words, description=doing or label)
 
     with bar:
         _call.bar = bar

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from ..topology.errors import UsageError
+from .options import flag
 
 if TYPE_CHECKING:
     from ..merge.paper.method import PaperSettings
@@ -66,10 +67,8 @@ class PaperOptions:
     def refuse(self) -> None:
         """UsageError if any was given: other methods have none of them."""
         if self != PaperOptions():
-            raise UsageError(
-                "--degree, --confidence, --confidence-of, --weights, --iterative and --met belong "
-                "to --method paper"
-            )
+            *most, last = (flag(field.name) for field in fields(self))
+            raise UsageError(f"{', '.join(most)} and {last} belong to --method paper")
 
     def over(self, settings: PaperSettings) -> PaperSettings:
         """The settings with the given options replaced; UsageError if they are invalid."""

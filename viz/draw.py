@@ -176,10 +176,10 @@ def _heading(
     title = f"{runs}: {shown.described_sites}"
     if alone is not None and alone.component.site:
         title = f"{alone.component.site}: {runs}"
-    title = title if drives is None else f"What to record next: {title}"
-    title += "" if drives is None or drives else ": no drive is proposed"
-    title = title if changes is None else f"What changed: {title}"
-    title += "" if changes is None or changes else ": nothing changed"
+    if drives is not None:
+        title = f"What to record next: {title}{'' if drives else ': no drive is proposed'}"
+    if changes is not None:
+        title = f"What changed: {title}{'' if changes else ': nothing changed'}"
     count, (corridors_m, ways_m) = shown.standings(), shown.fused.lengths_m
     joined = count[Standing.JOINED]
     size = (
