@@ -66,20 +66,15 @@ def rows_of(owner: IntArray, wanted: list[int]) -> list[IntArray]:
     return [order[i:j] for i, j in zip(begin.tolist(), end.tolist(), strict=True)]
 
 
-def ranks(result: MergeResult) -> dict[str, int]:
-    """Rank of each run in its component by name, which selects its colour."""
-    return {run: k for c in result.components for k, run in enumerate(sorted(c.poses))}
-
-
 def colours_of(
     result: MergeResult, theme: palette.Theme = palette.DARK
 ) -> dict[str, palette.Colour]:
-    """The colour of each run, the viewer's by default; runs that merged with none are grey."""
-    rank = ranks(result)
+    """The colour of each run by its rank in its component, the viewer's by default; runs that
+    merged with none are grey."""
     return {
-        run: theme.run(rank[run]) if len(c.poses) > 1 else theme["single"]
+        run: theme.run(rank) if len(c.poses) > 1 else theme["single"]
         for c in result.components
-        for run in c.poses
+        for rank, run in enumerate(sorted(c.poses))
     }
 
 
