@@ -2,34 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from ..merge.change import Change, change_to_document, numbered
 from ..merge.changes import changes as changes_of
-from ..merge.result import Component, MergeResult
 from ..topology.wording import counted, listed
 from ..viz.parts import in_order
-from .draw import picture_form, quiet_fonts, walled
-from .options import ComponentOption, HereWithMerge, JsonOption, ThemeOption, argument, option, verb
+from .draw import merge_picture, picture_form
+from .options import ComponentOption, HereWithMerge, JsonOption, ThemeOption, verb
 from .output import say, say_folded, say_json, write_files
-from .workspace import Workspace
-
-if TYPE_CHECKING:  # which loads matplotlib
-    from ..viz.canvas import Canvas
 
 
 @verb
 def changes(
-    site: Annotated[str | None, argument("SITE", "Only this site (topobatch list).")] = None,
+    site: Annotated[str | None, "SITE", "Only this site (topobatch list)."] = None,
     component: ComponentOption = None,
-    everything: Annotated[
-        bool, option("--all", "Also differences that may be due to chance.")
-    ] = False,
+    everything: Annotated[bool, "--all", "Also differences that may be due to chance."] = False,
     output: Annotated[
         list[Path] | None,
-        option("--output -o FILE", "Also draw them there (.svg, .png); may be given twice."),
+        "--output -o FILE",
+        "Also draw them there (.svg, .png); may be given twice.",
     ] = None,
     theme: ThemeOption = "light",
     *,
@@ -51,24 +44,25 @@ def changes(
     """
     forms = {path: picture_form(path) for path in output or ()}
     result = place.read_result()
-    component = place.component(result, site, component)
+    chosen = place.component(result, site, component)
+    several = [c for c in in_order(result) if len(c.poses) > 1 and chosen in (None, c.id)]
     found: list[Change] = []
     saved: list[str] = []
-    several, compared = [], []
-    for one in in_order(result):
-        if len(one.poses) > 1 and component in (None, one.id):
-            several.append(one)
-            maps = place.maps_as_merged(result, one.id, sorted(one.poses))
-            with place.document_at_fault():
-                found += changes_of(result, one.id, maps)
-            not_driven = [run for run, m in maps.items() if not m.is_driven]
-            if len(maps) > len(not_driven) + 1:
-                compared.append(one)
-            saved += not_driven
+    compared = []
+    for one in several:
+        maps = place.maps_as_merged(result, one.id, sorted(one.poses))
+        with place.document_at_fault():
+            found += changes_of(result, one.id, maps)
+        not_driven = [run for run, m in maps.items() if not m.is_driven]
+        if len(maps) > len(not_driven) + 1:
+            compared.append(one)
+        saved += not_driven
     with_numbers = numbered(c for c in found if everything or c.sure)
     shown = [change for _, change in with_numbers]
     if forms:
-        picture = _drawn(place, result, several, shown, theme)
+        changed = {c.component for c in shown}
+        drawn = [c for c in several if c.id in changed or not changed] or result.components
+        picture = merge_picture(place, result, drawn, theme, changes=shown)
         write_files({path: picture.as_bytes(form) for path, form in forms.items()})
     if as_json:
         sites = {c.id: c.site or None for c in result.components}
@@ -95,24 +89,5 @@ def changes(
         say_folded(f"saved maps tell no times and are left out: {listed(saved, 3)}")
     if forms or any(c.sure for c in shown):
         named = () if site is None else (site,)
-        drawn = place.call("changes", *named, *place.of_merge, "-o", "changes.svg")
-        say(f"times are UTC; on the map: {', '.join(map(str, forms)) or drawn}")
-
-
-def _drawn(
-    place: Workspace,
-    result: MergeResult,
-    sites: Sequence[Component],
-    shown: Sequence[Change],
-    theme: str,
-) -> Canvas:
-    """The maps of the sites in which something changed, of all if nothing did."""
-    from ..viz.draw import draw_merged
-    from ..viz.palette import THEMES
-
-    quiet_fonts()
-    changed = {c.component for c in shown}
-    drawn = [c for c in sites if c.id in changed or not changed] or result.components
-    return draw_merged(
-        result, THEMES[theme], sites=[c.id for c in drawn], maps=walled(place, drawn), changes=shown
-    )
+        draw = place.call("changes", *named, *place.of_merge, "-o", "changes.svg")
+        say(f"times are UTC; on the map: {', '.join(map(str, forms)) or draw}")

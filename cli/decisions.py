@@ -16,7 +16,7 @@ from ..topology.wording import listed
 from ..viz.exports import ENDINGS
 from .ingest_record import PIECE
 from .journal import note
-from .options import Here, QuietOption, argument, complete_run, option, verb
+from .options import RUNS, Here, QuietOption, verb
 from .output import say, show
 from .workspace import MERGED, Workspace, checked_file_name, pair_named
 
@@ -25,22 +25,18 @@ Pair = tuple[str, str]
 
 @verb
 def lock(
-    a: Annotated[str | None, argument("A", "A run.", autocompletion=complete_run)] = None,
-    b: Annotated[str | None, argument("B", "Another run.", autocompletion=complete_run)] = None,
+    a: Annotated[str | None, "A", "A run.", RUNS] = None,
+    b: Annotated[str | None, "B", "Another run.", RUNS] = None,
     same: Annotated[
-        bool, option("--same", "The two share places: join them, where they fit best.")
+        bool, "--same", "The two share places: join them, where they fit best."
     ] = False,
-    never: Annotated[
-        bool, option("--never", "They share nothing: keep them apart, always.")
-    ] = False,
-    clear: Annotated[bool, option("--clear", "Forget what was said about the two.")] = False,
+    never: Annotated[bool, "--never", "They share nothing: keep them apart, always."] = False,
+    clear: Annotated[bool, "--clear", "Forget what was said about the two."] = False,
     at: Annotated[
         str | None,
-        option(
-            "--at JUNCTIONS",
-            "With --same: a junction of A and the junction of B that is the same place, by "
-            'the numbers their maps give them: "3,7".',
-        ),
+        "--at JUNCTIONS",
+        "With --same: a junction of A and the junction of B that is the same place, by the numbers "
+        'their maps give them: "3,7".',
     ] = None,
     *,
     place: Here,
@@ -109,11 +105,8 @@ def _show_locks(locks: tuple[Lock, ...]) -> None:
 
 @verb
 def discard(
-    what: Annotated[
-        list[str] | None,
-        argument("RUN|A:B", "Runs, or matches of two runs.", autocompletion=complete_run),
-    ] = None,
-    undo: Annotated[bool, option("--undo", "Let the matches A:B count again.")] = False,
+    what: Annotated[list[str] | None, "RUN|A:B", "Runs, or matches of two runs.", RUNS] = None,
+    undo: Annotated[bool, "--undo", "Let the matches A:B count again."] = False,
     *,
     place: Here,
     quiet: QuietOption = False,
@@ -196,8 +189,8 @@ def _discard_run(place: Workspace, run: str) -> None:
 
 @verb
 def rename(
-    old: Annotated[str, argument("OLD", "A run.", autocompletion=complete_run)],
-    new: Annotated[str, argument("NEW", "Its new name.")],
+    old: Annotated[str, "OLD", "A run.", RUNS],
+    new: Annotated[str, "NEW", "Its new name."],
     place: Here,
     quiet: QuietOption = False,
 ) -> None:
@@ -264,12 +257,10 @@ def _rename(place: Workspace, old: str, new: str, names: dict[str, str]) -> None
 def site(
     words: Annotated[
         list[str],
-        argument(
-            "RUN|SITE NAME ...",
-            "A run of the site, or its name so far, and what to call it from now on; several "
-            "such pairs, one after the other.",
-            autocompletion=complete_run,
-        ),
+        "RUN|SITE NAME ...",
+        "A run of the site, or its name so far, and what to call it from now on; several such "
+        "pairs, one after the other.",
+        RUNS,
     ],
     place: Here,
     quiet: QuietOption = False,

@@ -3,34 +3,30 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from ..merge.result import Component
+from ..merge.result import Component, MergeResult
 from ..topology.errors import UsageError
-from ..topology.topomap import TopoMap
-from .options import Here, ThemeOption, argument, complete_run, verb
+from .options import RUNS, Here, ThemeOption, verb
 from .output import checked_output, say, write_files
 from .workspace import Workspace
 
 if TYPE_CHECKING:  # which loads matplotlib
     from ..viz.canvas import Canvas
-    from ..viz.palette import Theme
 
 
 @verb
 def draw(
     what: Annotated[
         str,
-        argument(
-            "RUN|SITE|merged|A:B",
-            "A run or a site, for its map; merged, or the --output NAME of a merge; or two "
-            "runs, for why they were merged or not.",
-            autocompletion=complete_run,
-        ),
+        "RUN|SITE|merged|A:B",
+        "A run or a site, for its map; merged, or the --output NAME of a merge; or two runs, for "
+        "why they were merged or not.",
+        RUNS,
     ],
-    out: Annotated[Path, argument("OUT.svg|OUT.png", "The picture to write.")],
+    out: Annotated[Path, "OUT.svg|OUT.png", "The picture to write."],
     place: Here,
     theme: ThemeOption = "light",
 ) -> None:
@@ -54,11 +50,8 @@ def draw(
       topobatch draw north north.svg
       topobatch draw run1:run2 why.svg
     """
-    from ..viz.palette import THEMES
-
     form = picture_form(out)
-    quiet_fonts()
-    canvas = _drawn(place, what, THEMES[theme])
+    canvas = _drawn(place, what, theme)
     write_files({out: canvas.as_bytes(form)})
     say(f"{out}")
 
@@ -78,26 +71,39 @@ def quiet_fonts() -> None:
     logging.getLogger("matplotlib").setLevel(logging.ERROR)
 
 
-def _drawn(place: Workspace, what: str, theme: Theme) -> Canvas:
+def _drawn(place: Workspace, what: str, theme: str) -> Canvas:
     """The drawing of a run, a merge or a pair."""
-    from ..viz import draw as drawings
+    from ..viz.palette import THEMES
 
     found = place.named(what)
+    quiet_fonts()
     if found.run is not None:
-        return drawings.draw_map(place.read_map(found.run), theme)
+        from ..viz.draw import draw_map
+
+        return draw_map(place.read_map(found.run), THEMES[theme])
     if found.pair is not None:
         from ..viz.draw_pair import draw_decision
         from .explain import decided
 
-        return draw_decision(*decided(place, found.pair), theme)
+        return draw_decision(*decided(place, found.pair), THEMES[theme])
     result = found.place.read_result()
-    if found.site is None:
-        return drawings.draw_merged(result, theme, maps=walled(place, result.components))
-    (site,) = (c for c in result.components if c.site == found.site)
-    return drawings.draw_merged(result, theme, sites=[site.id], maps=walled(place, [site]))
+    site = [c for c in result.components if c.site == found.site] if found.site else None
+    return merge_picture(place, result, site, theme)
 
 
-def walled(place: Workspace, components: Iterable[Component]) -> dict[str, TopoMap]:
-    """The maps of the runs of components that can be read."""
-    maps, _ = place.read_maps(run for c in components for run in c.poses)
-    return maps
+def merge_picture(
+    place: Workspace,
+    result: MergeResult,
+    sites: Sequence[Component] | None,
+    theme: str,
+    **shown: Any,
+) -> Canvas:
+    """The drawing of some sites of a merge, or of all of it, with the walls of the runs whose maps
+    can be read; shown: drives or changes, as of `draw_merged`."""
+    from ..viz.draw import draw_merged
+    from ..viz.palette import THEMES
+
+    quiet_fonts()
+    maps, _ = place.read_maps(run for c in sites or result.components for run in c.poses)
+    ids = None if sites is None else [c.id for c in sites]
+    return draw_merged(result, THEMES[theme], sites=ids, maps=maps, **shown)

@@ -13,7 +13,7 @@ from ..topology.errors import UsageError
 from ..topology.topomap import TopoMap
 from ..topology.wording import counted
 from .matching import kept_results, settings_of
-from .options import HereWithMerge, JsonOption, argument, complete_run, option, verb
+from .options import RUNS, Extra, HereWithMerge, JsonOption, verb
 from .output import say, say_json, say_lines, width
 from .paper_options import PaperOptions
 from .stale import changed_since, describe_changed
@@ -25,28 +25,24 @@ TO_MERGE = "topobatch merge --all"
 
 @verb
 def explain(
-    a: Annotated[str, argument("A", "A run, or both as A:B.", autocompletion=complete_run)],
-    b: Annotated[str | None, argument("B", "Another run.", autocompletion=complete_run)] = None,
+    a: Annotated[str, "A", "A run, or both as A:B.", RUNS],
+    b: Annotated[str | None, "B", "Another run.", RUNS] = None,
     *,
     place: HereWithMerge,
     method: Annotated[
         Literal["robust", "paper"],
-        option(
-            "--method",
-            "robust: the verdict, its evidence and threshold; "
-            "paper: the tables and clusters of Huang & Beevers.",
-        ),
+        "--method",
+        "robust: the verdict, its evidence and threshold; paper: the tables and clusters of Huang "
+        "& Beevers.",
     ] = "robust",
     paper: PaperOptions,
     as_json: JsonOption = False,
     rows: Annotated[
         int | None,
-        option(
-            "--rows N",
-            "Links, or rows of a table and clusters, to print at most. Default: what fits a "
-            "screen; 20 of the paper's.",
-            min=1,
-        ),
+        "--rows N",
+        "Links, or rows of a table and clusters, to print at most. Default: what fits a screen; 20 "
+        "of the paper's.",
+        Extra(min=1),
     ] = None,
 ) -> None:
     """Explain why two runs were merged, or not.
@@ -113,7 +109,7 @@ def decided(place: Workspace, pair: tuple[str, str]) -> tuple[TopoMap, TopoMap, 
         ]
     else:
         merge = Merge.of(result, read, settings, place.locks(), kept)
-        new = changed_since(place, result.info.get("maps") or {}, pair)
+        new = changed_since(place, result, pair)
         notes = [f"{describe_changed(new)}; merge again"] if new else []
     decision = explain(merge, *pair)
     a, b = map(read, pair)

@@ -21,17 +21,7 @@ from ..viz.exports import map_texts
 from ..viz.exports.pose_graph import pose_graph_g2o
 from ..viz.exports.tum import corrected_tum, recorded_tum
 from .export_grid import PICTURE, Exported, grid_of_saved, grid_texts, log_of
-from .options import (
-    ComponentOption,
-    Here,
-    JsonOption,
-    QuietOption,
-    SiteOption,
-    argument,
-    complete_run,
-    option,
-    verb,
-)
+from .options import RUNS, ComponentOption, Extra, Here, JsonOption, QuietOption, SiteOption, verb
 from .output import checked_output, say, say_json, say_text, show, warn, write_files
 from .workspace import MERGED, Named, Workspace
 
@@ -44,48 +34,36 @@ Format = StrEnum("Format", "nav2 lif rmf tmap2 graphml grid g2o tum csv")
 def export(
     forms: Annotated[
         list[Format],
-        option(
-            "--format -f",
-            "nav2: GeoJSON of the Nav2 route server; lif: VDMA LIF 1.0; rmf: Open-RMF "
-            "navigation graph; tmap2: LCAS topological map; graphml; grid: map.yaml and picture "
-            "of map_server and AMCL; g2o: pose graph; "
-            "tum: trajectories; csv: two tables.",
-        ),
+        "--format -f",
+        "nav2: GeoJSON of the Nav2 route server; lif: VDMA LIF 1.0; rmf: Open-RMF navigation "
+        "graph; tmap2: LCAS topological map; graphml; grid: map.yaml and picture of map_server and "
+        "AMCL; g2o: pose graph; tum: trajectories; csv: two tables.",
     ],
     what: Annotated[
         str,
-        argument(
-            "[RUN|SITE|merged]",
-            "A run, a site, or all sites of the merged map (merged, which is the default, or "
-            "the --output NAME of a merge).",
-            show_default=False,
-            autocompletion=complete_run,
-        ),
+        "[RUN|SITE|merged]",
+        "A run, a site, or all sites of the merged map (merged, which is the default, or the "
+        "--output NAME of a merge).",
+        RUNS,
+        Extra(show_default=False),
     ] = MERGED,
     output: Annotated[
         Path | None,
-        option(
-            "--output -o FILE",
-            "File to write, - for the standard output; default: in the workspace's exports/.",
-        ),
+        "--output -o FILE",
+        "File to write, - for the standard output; default: in the workspace's exports/.",
     ] = None,
     site: SiteOption = None,
     component: ComponentOption = None,
     tolerance: Annotated[
         float,
-        option(
-            "--tolerance METRES",
-            "How far a corridor may lie from its straight pieces (nav2, lif, rmf, tmap2).",
-            min=0.001,
-            max=10.0,
-        ),
+        "--tolerance METRES",
+        "How far a corridor may lie from its straight pieces (nav2, lif, rmf, tmap2).",
+        Extra(min=0.001, max=10.0),
     ] = 0.05,
     log: Annotated[
         Path | None,
-        option(
-            "--log LOG",
-            "Where the log of the run is now, for tum and grid; default: where ingest read it.",
-        ),
+        "--log LOG",
+        "Where the log of the run is now, for tum and grid; default: where ingest read it.",
     ] = None,
     *,
     place: Here,
@@ -145,10 +123,12 @@ def _sources(found: Named, site: str | None, component: int | None) -> list[Expo
         return [Exported(found.run, topomap, {found.run: topomap})]
     result = place.read_result()
     one = place.component(result, site or found.site, component)
-    chosen = [c for c in result.components if one in (None, c.id)]
     stem = "" if place.merge == MERGED else f"{place.merge}-"
-    names = {c.id: f"{stem}{c.site or f'{MERGED}-{c.id}'}" for c in chosen}
-    return [_component(place, result, c, names[c.id]) for c in chosen]
+    return [
+        _component(place, result, c, f"{stem}{c.site or f'{MERGED}-{c.id}'}")
+        for c in result.components
+        if one in (None, c.id)
+    ]
 
 
 def _component(place: Workspace, result: MergeResult, component: Component, name: str) -> Exported:
@@ -165,7 +145,7 @@ def _component(place: Workspace, result: MergeResult, component: Component, name
     with place.document_at_fault():
         topomap = component_map(result, component.id, name, maps)
     kept = {run: m for run, m in maps.items() if run not in stale}
-    return Exported(name, topomap, kept, result, component)
+    return Exported(name, topomap, kept, (result, component))
 
 
 def _texts(
@@ -211,10 +191,11 @@ def _texts(
 def _told_what_is_gone(place: Workspace, source: Exported) -> TopoMap:
     """The map of a site with the corridors that its latest runs did not find, of which a warning
     tells; of other maps, and of stale ones, the map as it is."""
-    site = source.component
-    if source.result is None or site is None or site.poses.keys() != source.maps.keys():
+    if source.merge is None:
         return source.topomap
-    gone = last_found(source.result, site.id, source.maps)
+    result, site = source.merge
+    whole = site.poses.keys() == source.maps.keys()
+    gone = last_found(result, site.id, source.maps) if whole else {}
     if not gone:
         return source.topomap
     marked = "are gone: marked" if len(gone) > 1 else "is gone: marked"
@@ -224,25 +205,25 @@ def _told_what_is_gone(place: Workspace, source: Exported) -> TopoMap:
 
 
 def _pose_graph(source: Exported) -> str:
-    if source.result is None or source.component is None:
+    if source.merge is None:
         return pose_graph_g2o(map_pose_graph(source.topomap))
-    gone = sorted(source.component.poses.keys() - source.maps.keys())
-    if gone:
+    result, site = source.merge
+    if gone := sorted(site.poses.keys() - source.maps.keys()):
         raise DataError(
             f"{source.name}: the joint pose graph needs the maps that were merged; "
             f"{listed(gone, 3)} {'is' if len(gone) == 1 else 'are'} not among them: merge again"
         )
-    return pose_graph_g2o(component_pose_graph(source.result, source.component.id, source.maps))
+    return pose_graph_g2o(component_pose_graph(result, site.id, source.maps))
 
 
 def _trajectories(place: Workspace, source: Exported, log: Path | None) -> dict[str, str]:
     """The odometry of every run, as recorded and corrected, from its log; maps of grids have
     none."""
-    poses = {} if source.component is None else source.component.poses
+    poses = source.merge[1].poses if source.merge else {}
     out = {}
     for run, topomap in sorted(source.maps.items()):
         if not topomap.is_driven:
-            if source.component is not None:
+            if source.merge:
                 warn(f"{run}: is the map of a grid, which nobody drove: no trajectory")
             continue
         at = log_of(place, run, log)
@@ -252,7 +233,7 @@ def _trajectories(place: Workspace, source: Exported, log: Path | None) -> dict[
             raise DataError(
                 f"run {run}: no junction pass of its map lies within the odometry of its log"
             )
-        stem = "" if source.component is None else f".{run}"
+        stem = f".{run}" if source.merge else ""
         out[f"{stem}.recorded.tum"] = recorded_tum(odometry)
         out[f"{stem}.corrected.tum"] = corrected
     return out

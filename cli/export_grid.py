@@ -44,8 +44,7 @@ class Exported:
     name: str
     topomap: TopoMap
     maps: dict[str, TopoMap]
-    result: MergeResult | None = None
-    component: Component | None = None
+    merge: tuple[MergeResult, Component] | None = None
 
 
 def grid_texts(
@@ -182,7 +181,7 @@ def _cell_m(source: Exported, saved: Mapping[str, Grid], placed: Mapping[str, Pl
 def _placements(source: Exported) -> dict[str, Placed]:
     """For each run the transforms (k, 3) from its map's frame to that of the export at points (k,
     2) of its map."""
-    result, component = source.result, source.component
-    if result is None or component is None:
+    if source.merge is None:
         return {run: lambda xy: np.zeros((len(xy), 3)) for run in source.maps}
+    result, component = source.merge
     return {run: partial(placed_at, result.fused, component, m) for run, m in source.maps.items()}

@@ -15,16 +15,7 @@ from ..ingest.reading import LogInfo, ReadSettings, inspect_log, log_size, read_
 from ..ingest.remote.path import LogPath
 from ..topology.errors import DataError, LogError, UsageError
 from ..topology.wording import counted, utc
-from .options import (
-    Here,
-    JsonOption,
-    ReadOptions,
-    argument,
-    describe_settings,
-    option,
-    settings_of,
-    verb,
-)
+from .options import Here, JsonOption, ReadOptions, describe_settings, settings_of, verb
 from .output import complain, counting, megabytes, progress, say, say_json, say_row, table
 from .run_logs import run_names
 
@@ -42,21 +33,17 @@ SCANS = {*JUNCTIONS["scan"].types, *JUNCTIONS["cloud"].types}
 def info(
     logs: Annotated[
         list[str] | None,
-        argument(
-            "LOG",
-            "MCAP files, ROS 1 bags, ROS 2 bag folders, or folders of logs; here, or "
-            "elsewhere (s3://, gs://, az://, https://). Without any, the workspace's settings.",
-        ),
+        "LOG",
+        "MCAP files, ROS 1 bags, ROS 2 bag folders, or folders of logs; here, or elsewhere (s3://, "
+        "gs://, az://, https://). Without any, the workspace's settings.",
     ] = None,
     *,
     read: ReadOptions,
     try_all: Annotated[
         bool,
-        option(
-            "--try",
-            "Read logs as ingest does, whatever their size, and match their scans: takes as "
-            "long as ingest.",
-        ),
+        "--try",
+        "Read logs as ingest does, whatever their size, and match their scans: takes as long as "
+        "ingest.",
     ] = False,
     as_json: JsonOption = False,
     place: Here,

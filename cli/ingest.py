@@ -16,15 +16,14 @@ from ..topology.errors import LogError, UsageError
 from ..topology.wording import counted, listed
 from .journal import note
 from .options import (
+    Extra,
     Here,
     JsonOption,
     MapOptions,
     QuietOption,
     ReadOptions,
     VerboseOption,
-    argument,
     by_settings,
-    option,
     verb,
 )
 from .output import complain, detail, megabytes, progress, say, say_json, show, tell, warn
@@ -43,27 +42,21 @@ def ingest(
     context: typer.Context,
     logs: Annotated[
         list[str],
-        argument(
-            "LOG",
-            "Logs, or folders to search for logs; here, or elsewhere (s3://, gs://, az://, "
-            "https://).",
-        ),
+        "LOG",
+        "Logs, or folders to search for logs; here, or elsewhere (s3://, gs://, az://, https://).",
     ],
     place: Here,
     read: ReadOptions,
     mapping: MapOptions,
     name: Annotated[
-        str | None, option("--name RUN", "Name of the run (one log only); default: the log's name.")
+        str | None, "--name RUN", "Name of the run (one log only); default: the log's name."
     ] = None,
-    jobs: Annotated[int, option("--jobs -j N", "Logs read at once; 0: one per core.", min=0)] = 0,
+    jobs: Annotated[int, "--jobs -j N", "Logs read at once; 0: one per core.", Extra(min=0)] = 0,
     force: Annotated[
-        bool, option("--force", "Redo finished runs; replace maps made from other logs.")
+        bool, "--force", "Redo finished runs; replace maps made from other logs."
     ] = False,
     strict: Annotated[
-        bool,
-        option(
-            "--strict", "Refuse damaged logs instead of salvaging what they hold, with a warning."
-        ),
+        bool, "--strict", "Refuse damaged logs instead of salvaging what they hold, with a warning."
     ] = False,
     as_json: JsonOption = False,
     quiet: QuietOption = False,

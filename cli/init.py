@@ -17,7 +17,7 @@ from .options import (
     MapOptions,
     ReadOptions,
     describe_settings,
-    option,
+    flag,
     settings_text,
     taken,
     verb,
@@ -32,7 +32,7 @@ def init(
     read: ReadOptions,
     mapping: MapOptions,
     false_merge_rate: FalseMergeRate = None,
-    forget: Annotated[bool, option("--forget", "Forget what it remembered before.")] = False,
+    forget: Annotated[bool, "--forget", "Forget what it remembered before."] = False,
 ) -> None:
     """Have a workspace remember options, so that no call needs to repeat them.
 
@@ -47,7 +47,7 @@ def init(
     given = taken(context, GIVEN if forget else (*GIVEN, *REMEMBERED))
     for name, value in given.items():
         if isinstance(value, str) and not value.isprintable():
-            raise UsageError(f"--{name.replace('_', '-')} is {value!r}, which is no name")
+            raise UsageError(f"{flag(name)} is {value!r}, which is no name")
     # Numbers that make no sense are refused here, not by the next call.
     read.settings()
     text = settings_text(given)

@@ -13,7 +13,7 @@ from pydantic import TypeAdapter, ValidationError
 from ..topology.errors import DataError
 from ..topology.files import read_bytes, write_text
 from ..topology.wording import counted
-from .options import Here, JsonOption, option, verb
+from .options import Extra, Here, JsonOption, verb
 from .output import say, say_json, say_row, table, warn
 from .workspace import Workspace
 
@@ -58,7 +58,7 @@ def _entry(line: str) -> Entry | None:
 def history(
     place: Here,
     most: Annotated[
-        int, option("--last -n N", "Number of entries to show, the latest.", min=1)
+        int, "--last -n N", "Number of entries to show, the latest.", Extra(min=1)
     ] = 20,
     as_json: JsonOption = False,
 ) -> None:

@@ -351,11 +351,10 @@ def _of_merge(result: object) -> MergeResult:
 
 def _component_of(result: MergeResult, run: str) -> Component:
     """The component that a run is part of."""
-    for component in _of_merge(result).components:
-        if run in component.poses:
-            return component
-    merged = sorted(run for c in result.components for run in c.poses)
-    raise UsageError(f"no run {run!r} was merged; there are {listed(merged, 12)}")
+    components = _of_merge(result).component_of
+    if run not in components:
+        raise UsageError(f"no run {run!r} was merged; there are {listed(sorted(components), 12)}")
+    return components[run]
 
 
 def _on_one_thread() -> AbstractContextManager[object]:

@@ -5,8 +5,10 @@ from __future__ import annotations
 import os
 import re
 import stat
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
+from itertools import chain
 
 import numpy as np
 import typer
@@ -58,9 +60,12 @@ def list_runs(place: Here, as_json: JsonOption = False) -> None:
       topobatch list
       topobatch list --json
     """
-    merged = _last_merge(place)
-    home = {run: c for c in merged.components for run in c.poses} if merged else {}
-    locked = _locked_since(place, merged)
+    merged, locked = None, set[str]()
+    with _listed_without("it"):
+        merged = place.last_result()
+    with _listed_without("locks"):
+        locked = {*chain(*locked_since(place, merged))} if merged else locked
+    home = merged.component_of if merged else {}
     rows = [
         _listed(place, run, merged, home.get(run), locked=run in locked) for run in place.runs()
     ]
@@ -116,21 +121,13 @@ def _by_site(rows: Sequence[Listed], sizes: Mapping[int, str]) -> list[tuple[str
     return [(title, own) for (_, title), own in sorted(groups.items())]
 
 
-def _last_merge(place: Workspace) -> MergeResult | None:
+@contextmanager
+def _listed_without(what: str) -> Iterator[None]:
+    """Say of what cannot be read that the runs are listed without it."""
     try:
-        return place.last_result()
+        yield
     except DataError as error:
-        warn(f"{error}; listed without it")
-        return None
-
-
-def _locked_since(place: Workspace, merged: MergeResult | None) -> set[str]:
-    """The runs with a lock that was set or cleared since the last merge."""
-    try:
-        return {run for pair in locked_since(place, merged) for run in pair} if merged else set()
-    except DataError as error:
-        warn(f"{error}; listed without locks")
-        return set()
+        warn(f"{error}; listed without {what}")
 
 
 def _sizes(result: MergeResult) -> dict[int, str]:
@@ -155,7 +152,7 @@ def _listed(
     old = []
     if merged is not None and home is None:
         old.append("not merged")
-    elif merged is not None and changed_since(place, merged.info.get("maps") or {}, [run]):
+    elif merged is not None and changed_since(place, merged, [run]):
         old.append("map changed since the merge")
     if locked:
         old.append("lock changed: merge again")

@@ -21,7 +21,7 @@ from ..merge.result import MergeResult, pairs_of
 from ..topology.errors import DataError, UsageError
 from ..topology.topomap import TopoMap
 from ..topology.wording import counted
-from .options import option
+from .options import Extra
 from .output import complain, detail, progress, say, tell, warn
 from .process import processes
 from .workspace import Workspace
@@ -43,23 +43,19 @@ class MatchOptions:
     """Where pairs are matched."""
 
     jobs: Annotated[
-        int, option("--jobs -j N", "Processes to match with; 0: one per core.", min=0)
+        int, "--jobs -j N", "Processes to match with; 0: one per core.", Extra(min=0)
     ] = 0
     cluster: Annotated[
         str | None,
-        option(
-            "--cluster ADDRESS",
-            "Match on a Dask cluster, tcp://host:port, whose workers see the workspace under "
-            "the same path; needs topobatch[cluster].",
-        ),
+        "--cluster ADDRESS",
+        "Match on a Dask cluster, tcp://host:port, whose workers see the workspace under the same "
+        "path; needs topobatch[cluster].",
     ] = None
     shard: Annotated[
         str | None,
-        option(
-            "--shard I/N",
-            "With --all: only match the I-th of N shares of the pairs, for the cache; a last "
-            "merge --all collects what all shares found.",
-        ),
+        "--shard I/N",
+        "With --all: only match the I-th of N shares of the pairs, for the cache; a last merge "
+        "--all collects what all shares found.",
     ] = None
 
     def workers(self, pairs: int) -> Workers | None:

@@ -18,15 +18,13 @@ from .journal import note
 from .matching import MatchOptions, match_share, read_maps, resumable
 from .merges import last_merge, made
 from .options import (
+    RUNS,
     FalseMergeRate,
     Here,
     JsonOption,
     QuietOption,
     VerboseOption,
-    argument,
     by_settings,
-    complete_run,
-    option,
     verb,
 )
 from .output import is_verbose, say, say_folded, say_json, show, warn
@@ -49,11 +47,9 @@ class MethodOptions:
 
     method: Annotated[
         Literal["robust", "paper"],
-        option(
-            "--method",
-            "robust: tolerant matching, evidence in bits, three verdicts; "
-            "paper: Huang & Beevers, section by section, for comparison.",
-        ),
+        "--method",
+        "robust: tolerant matching, evidence in bits, three verdicts; paper: Huang & Beevers, "
+        "section by section, for comparison.",
     ] = "robust"
     false_merge_rate: FalseMergeRate = None
 
@@ -72,21 +68,18 @@ class MethodOptions:
 @verb
 def merge(
     context: typer.Context,
-    runs: Annotated[
-        list[str] | None, argument("RUN", "Runs to merge, by name.", autocompletion=complete_run)
-    ] = None,
-    everything: Annotated[bool, option("--all", "Merge every run of the workspace.")] = False,
+    runs: Annotated[list[str] | None, "RUN", "Runs to merge, by name.", RUNS] = None,
+    everything: Annotated[bool, "--all", "Merge every run of the workspace."] = False,
     *,
     place: Here,
     how: MethodOptions,
     output: Annotated[
         str | None,
-        option(
-            "--output NAME", "Write NAME.json and NAME.rrd instead of merged.json and merged.rrd."
-        ),
+        "--output NAME",
+        "Write NAME.json and NAME.rrd instead of merged.json and merged.rrd.",
     ] = None,
     replace_last: Annotated[
-        bool, option("--replace", "Overwrite a merge of runs that this one leaves out.")
+        bool, "--replace", "Overwrite a merge of runs that this one leaves out."
     ] = False,
     paper: PaperOptions,
     where: MatchOptions,
@@ -250,8 +243,8 @@ def _next_steps(result: MergeResult, place: Workspace) -> Iterator[str]:
             yield f"name a site: {place.call('site', run, 'NAME')}"
             break
     if open_ := result.standings()[Standing.AMBIGUOUS]:
-        pairs = f"{counted(open_, 'pair')} {'is' if open_ == 1 else 'are'} open"
-        yield f"{pairs}; what to record to settle most: {place.call('next', *place.of_merge)}"
+        pairs, call = counted(open_, "pair is", "pairs are"), place.call("next", *place.of_merge)
+        yield f"{pairs} open; what to record to settle most: {call}"
     if place.merge == MERGED:
         yield f"all on one page: {place.call('report')}"
         yield f"route graphs: {place.call('export', '--format', 'nav2')}"
@@ -273,10 +266,9 @@ def _document(place: Workspace, result: MergeResult) -> dict[str, Any]:
 def _warnings(result: MergeResult) -> Iterator[str]:
     from ..merge.robust.entries import doubt
 
-    home = {run: component.id for component in result.components for run in component.poses}
     yield from map(str, result.info.get("warnings") or ())
     for pair in result.verdicts:
-        if pair.locked == "same" and home[pair.a] != home[pair.b]:
+        if pair.locked == "same" and result.home[pair.a] != result.home[pair.b]:
             yield f"{pair.a} and {pair.b} are not joined: {pair.reason}"
         if pair.accepted_by == "lock" and (why := doubt(pair)):
             yield f"{pair.a} and {pair.b} are joined by a lock; by their maps {why}"

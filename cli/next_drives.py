@@ -12,8 +12,8 @@ from ..merge.result import Component, MergeResult, Standing
 from ..topology.errors import UsageError
 from ..topology.wording import counted
 from ..viz.exports.drives import drives_csv, drives_geojson
-from .draw import quiet_fonts, walled
-from .options import HereWithMerge, JsonOption, ThemeOption, argument, option, verb
+from .draw import merge_picture, picture_form
+from .options import Extra, HereWithMerge, JsonOption, ThemeOption, verb
 from .output import checked_output, folded, say, say_folded, say_json, write_files
 from .workspace import Workspace
 
@@ -24,16 +24,14 @@ PLANS, PICTURES = (".csv", ".geojson"), (".svg", ".png")
 @verb
 def next_drives(
     site: Annotated[
-        str | None, argument("SITE|RUN", "Only drives that begin at this site, or join it.")
+        str | None, "SITE|RUN", "Only drives that begin at this site, or join it."
     ] = None,
-    most: Annotated[int, option("--drives -n N", "How many drives to list.", min=1)] = 5,
+    most: Annotated[int, "--drives -n N", "How many drives to list.", Extra(min=1)] = 5,
     output: Annotated[
         list[Path] | None,
-        option(
-            "--output -o FILE",
-            "Also write the plan there: a picture (.svg, .png), or its waypoints (.csv, "
-            ".geojson); may be given several times.",
-        ),
+        "--output -o FILE",
+        "Also write the plan there: a picture (.svg, .png), or its waypoints (.csv, .geojson); may "
+        "be given several times.",
     ] = None,
     theme: ThemeOption = "light",
     *,
@@ -135,8 +133,8 @@ def _not_to_settle(result: MergeResult, place: Workspace, about: Component | Non
     if not open_:
         return ""
     return (
-        f"{counted(open_, 'pair')} of runs {'is' if open_ == 1 else 'are'} open, but no drive is "
-        "likely to settle any: what it would find looks alike elsewhere; if you know: "
+        f"{counted(open_, 'pair of runs is', 'pairs of runs are')} open, but no drive is likely to "
+        "settle any: what it would find looks alike elsewhere; if you know: "
         f"{place.call('lock', 'A', 'B', '--same')}, or --never"
     )
 
@@ -155,13 +153,7 @@ def _plan(
     suffix = path.suffix.lower()
     if suffix in PLANS:
         return drives_csv(found) if suffix == PLANS[0] else drives_geojson(found, left)
-    quiet_fonts()
-    from ..viz.draw import draw_merged
-    from ..viz.palette import THEMES
-
     begin = {d.component for d in found}
     sites = [c for c in result.components if (c.id in begin if found else c.name in shown)]
-    canvas = draw_merged(
-        result, THEMES[theme], sites=[c.id for c in sites], maps=walled(place, sites), drives=found
-    )
-    return canvas.as_bytes("svg" if suffix == PICTURES[0] else "png")
+    canvas = merge_picture(place, result, sites, theme, drives=found)
+    return canvas.as_bytes(picture_form(path))

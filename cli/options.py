@@ -9,12 +9,13 @@ from __future__ import annotations
 import json
 import os
 import tomllib
+from collections import ChainMap
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from functools import wraps
 from inspect import Parameter, Signature, isfunction, signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_origin, get_type_hints
 
 import typer
 from typer.exceptions import TyperException
@@ -32,10 +33,18 @@ if TYPE_CHECKING:  # what takes a second to load
 Command = Callable[..., None]
 
 
+class Extra(dict[str, Any]):
+    """Further arguments of `typer.Option` or `typer.Argument`, in the annotation of a parameter."""
+
+
 def verb(command: Command) -> Command:
-    """The command as typer takes it: in place of a parameter that is made of several options, a
-    dataclass or annotated with the function that makes it, these: each annotated and with its
-    default."""
+    """The command as typer takes it.
+
+    Its parameters are annotated as Annotated[type, "--last -n N", "What it is for."], with the
+    names of the option and what its value is called; without a name it is an argument. In place of
+    a parameter that is made of several options, a dataclass or annotated with the function that
+    makes it, typer is given these. A dataclass's `panel` is their section of `--help`.
+    """
     hints = get_type_hints(command, include_extras=True)
     made = {name: _maker(hint) for name, hint in hints.items()}
 
@@ -52,8 +61,9 @@ def verb(command: Command) -> Command:
         maker = made[name]
         several = {name: own} if maker is None else signature(maker).parameters
         kinds = hints if maker is None else get_type_hints(maker, include_extras=True)
+        panel = getattr(maker, "panel", None)
         parameters += [
-            each.replace(kind=Parameter.KEYWORD_ONLY, annotation=kinds[own_name])
+            each.replace(kind=Parameter.KEYWORD_ONLY, annotation=_typed(kinds[own_name], panel))
             for own_name, each in several.items()
         ]
     called.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
@@ -68,18 +78,17 @@ def _maker(hint: Any) -> Callable[..., Any] | None:
     return next(filter(isfunction, getattr(hint, "__metadata__", ())), None)
 
 
-def option(shown: str, text: str, **more: Any) -> Any:
-    """An option as `--help` shows it: its names and what its value is called ("--last -n N"), and
-    what it is for; more: of `typer.Option`."""
+def _typed(hint: Any, panel: str | None) -> Any:
+    """The annotation of a parameter as typer takes it."""
+    if get_origin(hint) is not Annotated:
+        return hint
+    shown, text, *extra = hint.__metadata__
     words = shown.split()
     names = [word for word in words if word.startswith("-")]
     value = " ".join(words[len(names) :]) or None
-    return typer.Option(*names, metavar=value, help=text, **more)
-
-
-def argument(shown: str, text: str, **more: Any) -> Any:
-    """An argument, likewise."""
-    return typer.Argument(metavar=shown, help=text, **more)
+    kind = typer.Option if names else typer.Argument
+    more = dict(ChainMap(*extra), metavar=value, help=text, rich_help_panel=panel)
+    return Annotated[hint.__origin__, kind(*names, **more)]
 
 
 def _with_settings(context: typer.Context, workspace: Path) -> Path:
@@ -94,10 +103,10 @@ def _with_settings(context: typer.Context, workspace: Path) -> Path:
         try:
             own[name].process_value(context, value)
         except TyperException as error:
-            why = f"{_option(name)}: {error.format_message()}"
+            why = f"{option_name(name)}: {error.format_message()}"
             raise DocumentError(f"{place.settings_toml}: {why}") from error
     context.default_map = settings
-    remember(place.settings_toml, lambda: (f"--{_option(n)}" for n in taken(context, REMEMBERED)))
+    remember(place.settings_toml, lambda: map(flag, taken(context, REMEMBERED)))
     return workspace
 
 
@@ -113,17 +122,12 @@ def taken(context: typer.Context, sources: Sequence[str]) -> dict[str, Any]:
 
 WorkspaceOption = Annotated[
     Path,
-    option(
-        "--workspace -w",
-        "Folder of the results.",
-        envvar="TOPOBATCH_WORKSPACE",
-        file_okay=False,
-        is_eager=True,
-        callback=_with_settings,
-    ),
+    "--workspace -w",
+    "Folder of the results.",
+    Extra(envvar="TOPOBATCH_WORKSPACE", file_okay=False, is_eager=True, callback=_with_settings),
 ]
 
-MergeOption = Annotated[str, option("--merge NAME", "The merge to use, by its --output NAME.")]
+MergeOption = Annotated[str, "--merge NAME", "The merge to use, by its --output NAME."]
 
 
 def _place(workspace: WorkspaceOption = USUAL) -> Workspace:
@@ -138,35 +142,30 @@ Here = Annotated[Workspace, _place]
 HereWithMerge = Annotated[Workspace, _place_of_merge]
 """The workspace that a command is about, with one of its merges."""
 
-QuietOption = Annotated[bool, option("--quiet -q", "Show errors only: no progress, no summary.")]
+QuietOption = Annotated[bool, "--quiet -q", "Show errors only: no progress, no summary."]
 
 SiteOption = Annotated[
-    str | None, option("--site NAME", "Only this site of the merged map (topobatch list).")
+    str | None, "--site NAME", "Only this site of the merged map (topobatch list)."
 ]
 
 ComponentOption = Annotated[
-    int | None, option("--component N", "Only this component, by its number.", min=0, hidden=True)
+    int | None, "--component N", "Only this component, by its number.", Extra(min=0, hidden=True)
 ]
 """How scripts named a site before sites had names."""
 
 FalseMergeRate = Annotated[
     float | None,
-    option(
-        "--false-merge-rate SHARE",
-        "Share of batches that may hold any false merge; default 0.001.",
-        min=1e-9,
-        max=0.5,
-    ),
+    "--false-merge-rate SHARE",
+    "Share of batches that may hold any false merge; default 0.001.",
+    Extra(min=1e-9, max=0.5),
 ]
 
-JsonOption = Annotated[bool, option("--json", "Print JSON.")]
+JsonOption = Annotated[bool, "--json", "Print JSON."]
 
-ThemeOption = Annotated[
-    Literal["light", "dark"], option("--theme", "For light paper or a dark screen.")
-]
+ThemeOption = Annotated[Literal["light", "dark"], "--theme", "For light paper or a dark screen."]
 """Of commands that draw."""
 
-VerboseOption = Annotated[bool, option("--verbose -v", "Print what is being done.")]
+VerboseOption = Annotated[bool, "--verbose -v", "Print what is being done."]
 
 
 def complete_run(ctx: typer.Context, incomplete: str) -> list[str]:
@@ -179,96 +178,77 @@ def complete_run(ctx: typer.Context, incomplete: str) -> list[str]:
     return [run for run in runs if run.startswith(incomplete) and run.isprintable()]
 
 
+RUNS = Extra(autocompletion=complete_run)
+
+
 @dataclass(frozen=True, slots=True)
 class ReadOptions:
     """Which logs are read, and how."""
 
     odometry_topic: Annotated[
         str | None,
-        option(
-            "--odometry-topic TOPIC",
-            "Odometry topic; default: the only one of the best known type, else /odom.",
-        ),
+        "--odometry-topic TOPIC",
+        "Odometry topic; default: the only one of the best known type, else /odom.",
     ] = None
     junction_topic: Annotated[
         str | None,
-        option(
-            "--junction-topic TOPIC",
-            "Junction detections; default: /junctions, else the only PoseArray topic.",
-        ),
+        "--junction-topic TOPIC",
+        "Junction detections; default: /junctions, else the only PoseArray topic.",
     ] = None
     junction_fields: Annotated[
         str | None,
-        option(
-            "--junction-fields MAPPING",
-            "How to read junctions from messages of another type, for instance "
-            '"center=middle,branches=ways[].angle"; see docs/detections.md.',
-        ),
+        "--junction-fields MAPPING",
+        "How to read junctions from messages of another type, for instance "
+        '"center=middle,branches=ways[].angle"; see docs/detections.md.',
     ] = None
     junctions_from: Annotated[
         Literal["topic", "scan", "cloud", "grid"] | None,
-        option(
-            "--junctions-from",
-            "Where junctions come from: detections on a topic, or found in laser scans, "
-            "clouds of points (sliced at the sensor's height), or the last occupancy grid; "
-            "default: the first of these that the log has.",
-        ),
+        "--junctions-from",
+        "Where junctions come from: detections on a topic, or found in laser scans, clouds of "
+        "points (sliced at the sensor's height), or the last occupancy grid; default: the first of "
+        "these that the log has.",
     ] = None
     scan_topic: Annotated[
         str | None,
-        option(
-            "--scan-topic TOPIC",
-            "Scans, clouds or grid to find junctions in; default: all lasers; else /points or "
-            "/map, or the topic of its type with most messages.",
-        ),
+        "--scan-topic TOPIC",
+        "Scans, clouds or grid to find junctions in; default: all lasers; else /points or /map, or "
+        "the topic of its type with most messages.",
     ] = None
     laser_pose: Annotated[
         str | None,
-        option(
-            "--laser-pose X,Y,YAW",
-            "Pose of the laser on the robot, in metres and radians; default: from /tf_static "
-            "or /tf, else at the robot's centre, in the direction that its scans show, or ahead.",
-        ),
+        "--laser-pose X,Y,YAW",
+        "Pose of the laser on the robot, in metres and radians; default: from /tf_static or /tf, "
+        "else at the robot's centre, in the direction that its scans show, or ahead.",
     ] = None
     scan_stamp: Annotated[
         Literal["begin", "middle", "end"],
-        option(
-            "--scan-stamp",
-            "Which beam of a sweep a scan's time stamp refers to. In ROS it is the first; "
-            "some drivers stamp a scan when it is finished.",
-        ),
+        "--scan-stamp",
+        "Which beam of a sweep a scan's time stamp refers to. In ROS it is the first; some drivers "
+        "stamp a scan when it is finished.",
     ] = "begin"
     cloud_band: Annotated[
         str | None,
-        option(
-            "--cloud-band LOW,HIGH",
-            "Heights in the robot's frame between which points of a cloud are walls, in "
-            "metres; default: 0.2 below to 0.2 above the sensor.",
-        ),
+        "--cloud-band LOW,HIGH",
+        "Heights in the robot's frame between which points of a cloud are walls, in metres; "
+        "default: 0.2 below to 0.2 above the sensor.",
     ] = None
     base_frame: Annotated[
         str | None,
-        option(
-            "--base-frame FRAME",
-            "The robot's frame, if a topic such as /tf holds the odometry of several robots.",
-        ),
+        "--base-frame FRAME",
+        "The robot's frame, if a topic such as /tf holds the odometry of several robots.",
     ] = None
     time: Annotated[
         Literal["header", "log"],
-        option("--time", "Take times from message headers or from when the log received them."),
+        "--time",
+        "Take times from message headers or from when the log received them.",
     ] = "header"
     separate: Annotated[
         bool,
-        option(
-            "--separate",
-            "Take parts of a split recording (run_0.bag, run_1.bag) as runs of their own.",
-        ),
+        "--separate",
+        "Take parts of a split recording (run_0.bag, run_1.bag) as runs of their own.",
     ] = False
     allow_scan: Annotated[
-        bool,
-        option(
-            "--allow-scan", "Read remote logs without an index whole, instead of refusing them."
-        ),
+        bool, "--allow-scan", "Read remote logs without an index whole, instead of refusing them."
     ] = False
 
     def settings(self, *, strict: bool = False) -> ReadSettings:
@@ -296,14 +276,13 @@ class MapOptions:
 
     robot_radius: Annotated[
         float,
-        option(
-            "--robot-radius METRES",
-            "Radius of the robot that has to fit through the corridors of a saved map or a grid.",
-        ),
+        "--robot-radius METRES",
+        "Radius of the robot that has to fit through the corridors of a saved map or a grid.",
     ] = 0.25
     closure: Annotated[
         Literal["none", "full"],
-        option("--closure", "Whether to close loops: not at all, or by everything that is known."),
+        "--closure",
+        "Whether to close loops: not at all, or by everything that is known.",
     ] = "full"
 
     def settings(self) -> MappingSettings:
@@ -344,15 +323,21 @@ def settings_of(place: Workspace) -> dict[str, str]:
         return {}
     except (ValueError, RecursionError) as error:
         raise DocumentError(f"{path}: is no TOML: {error}") from error
-    known = {_option(name): name for name in NAMES}
+    known = {option_name(name): name for name in NAMES}
     for key in found:
         if key not in known:
             raise DocumentError(f"{path}: knows no {key!r}; there are: {', '.join(known)}")
     return {known[key]: _text(value, f"{path}: {key}") for key, value in found.items()}
 
 
-def _option(name: str) -> str:
+def option_name(name: str) -> str:
+    """What a parameter's option is called in settings.toml."""
     return name.replace("_", "-")
+
+
+def flag(name: str) -> str:
+    """What it is called in a call."""
+    return f"--{option_name(name)}"
 
 
 def _text(value: Any, where: str) -> str:
@@ -371,7 +356,7 @@ def settings_text(settings: Mapping[str, Any]) -> str:
         for name in NAMES
         if name in settings
     }
-    return "".join(f"{_option(name)} = {text}\n" for name, text in texts.items())
+    return "".join(f"{option_name(name)} = {text}\n" for name, text in texts.items())
 
 
 def by_settings(context: typer.Context, place: Workspace) -> str:
@@ -384,4 +369,4 @@ def by_settings(context: typer.Context, place: Workspace) -> str:
 
 def describe_settings(settings: Mapping[str, Any]) -> str:
     """The settings in one line; "" without any."""
-    return ", ".join(f"{_option(name)} = {value}" for name, value in settings.items())
+    return ", ".join(f"{option_name(name)} = {value}" for name, value in settings.items())

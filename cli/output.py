@@ -21,12 +21,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from textwrap import wrap
 from typing import Any, Protocol
 
 import typer
 
 from ..topology.errors import DataError, UsageError
+from ..topology.wording import folded as wrapped
 
 WIDTH, NARROWEST = 79, 40
 """Line width of sentences where no terminal tells its own, and its least: tables need as much."""
@@ -126,14 +126,7 @@ def say_row(line: str) -> None:
 
 def folded(text: str, indent: str = "      ") -> list[str]:
     """A long line as several of at most `width` letters, indented from the second on."""
-    return wrap(
-        plain(text),
-        width(),
-        subsequent_indent=indent,
-        drop_whitespace=True,
-        break_long_words=False,
-        break_on_hyphens=False,
-    )
+    return wrapped(plain(text), width(), rest=indent)
 
 
 def detail(text: str) -> None:
@@ -301,14 +294,12 @@ def progress(label: str, total: int, unit: str = "") -> Iterator[Advance]:
     task = bar.add_task(label, total=total or None, amount="")
 
     def advance(done: int, words: str = "", doing: str = "", kept: int = 0) -> None:
-        known = words
-        if unit == "bytes" and not known and not doing:
-            known = f"{megabytes(done)} of {megabytes(total)} MB"
-        elif unit and not known and not doing:
-            known = f"{done:,} of {total:,} {unit}"
+        if unit and not words and not doing:
+            in_bytes = f"{megabytes(done)} of {megabytes(total)} MB"
+            words = in_bytes if unit == "bytes" else f"{done:,} of {total:,} {unit}"
         # The time left goes by the fresh work alone.
         bar.update(task, total=max(total - kept, 0) or None, completed=done - kept)
-        bar.update(task, amount=known, description=doing or label)
+        bar.update(task, amount=words, description=doing or label)
 
     with bar:
         _call.bar = bar

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
@@ -11,16 +11,17 @@ from typing import Annotated
 
 import typer
 
+from ..merge.change import Change
 from ..merge.changes import all_changes
 from ..merge.decision import Decision
 from ..merge.drives import drives, never_driven
 from ..merge.result import MergeResult, Standing
-from ..topology.errors import UsageError
+from ..topology.errors import DocumentError, UsageError
 from ..topology.topomap import TopoMap
 from ..topology.wording import counted, listed
 from .matching import kept_results, settings_of
 from .next_drives import nothing_worth
-from .options import HereWithMerge, QuietOption, argument, verb
+from .options import HereWithMerge, QuietOption, verb
 from .output import Advance, begin, checked_output, complain, progress, say, show, write_files
 from .stale import changed_since, describe_changed
 from .version import VERSION
@@ -36,7 +37,7 @@ STANDS_ON = ("numpy", "scipy", "pydantic", "rosbags", "bokeh", "rerun-sdk")
 @verb
 def report(
     out: Annotated[
-        Path | None, argument("OUT.html", "The page; default: report.html in the workspace.")
+        Path | None, "OUT.html", "The page; default: report.html in the workspace."
     ] = None,
     *,
     place: HereWithMerge,
@@ -69,38 +70,28 @@ def report(
         maps, errors = place.read_maps(place.runs())
         for error in errors.values():
             complain(f"{error}; left out")
-        unreadable = "The map of {} cannot be read and is left out: {}"
-        notes = [unreadable.format(run, error) for run, error in errors.items()]
-        new = changed_since(place, result.info.get("maps") or {}, list(maps)) if result else []
-        notes += [f"Merge again: {describe_changed(new)}"] if new else []
-        gone = sorted(result.home.keys() - maps.keys() - errors.keys()) if result else []
-        notes += [f"Merge again: no map is there any more of {listed(gone, 3)}"] if gone else []
-        # What is worked out again from the maps that were merged.
-        merged = result if not notes else None
-        home = {c.id: c.name for c in result.components} if result else {}
-        decisions = _decisions(place, merged, maps, advance) if merged else {}
+        notes = _notes(place, result, maps, errors)
+        # Without a note, what follows from the maps that were merged can be worked out again.
+        merged = None if notes else result
         changed = all_changes(merged, maps) if merged else []
-        for pair, one in decisions.items():
-            between = [c for c in changed if c.sure and c.differs_for(*pair)]
-            words = [c.words(home[c.component])[0] for c in between]
-            decisions[pair] = replace(one, notes=(*one.notes, *words))
+        decisions = _decisions(place, merged, maps, changed, advance) if merged else {}
         advance(0, doing="drawing the page")
         found = drives(result) if result else ()
         lines = nothing_worth(result, never_driven(result), place) if result and not found else ()
         html = report_page(
             Report(
-                maps,
-                result,
-                notes,
-                [str(lock) for lock in place.locks()],
-                [
+                maps=maps,
+                result=result,
+                warnings=notes,
+                locks=[str(lock) for lock in place.locks()],
+                versions=[
                     ("topobatch", VERSION),
                     ("Python", python_version()),
                     *((name, version(name)) for name in STANDS_ON),
                 ],
-                found,
-                lines,
-                changed,
+                drives=found,
+                unexplored=lines,
+                changes=changed,
                 decisions=decisions,
                 where=place.where,
                 as_merged=merged is not None,
@@ -114,11 +105,32 @@ def report(
         raise typer.Exit(1)
 
 
+def _notes(
+    place: Workspace,
+    result: MergeResult | None,
+    maps: Mapping[str, TopoMap],
+    errors: Mapping[str, DocumentError],
+) -> list[str]:
+    """In what the maps are not those that were merged. errors: why some cannot be read."""
+    unreadable = "The map of {} cannot be read and is left out: {}"
+    notes = [unreadable.format(run, error) for run, error in errors.items()]
+    if result is not None:
+        if new := changed_since(place, result, list(maps)):
+            notes.append(f"Merge again: {describe_changed(new)}")
+        if gone := sorted(result.home.keys() - maps.keys() - errors.keys()):
+            notes.append(f"Merge again: no map is there any more of {listed(gone, 3)}")
+    return notes
+
+
 def _decisions(
-    place: Workspace, result: MergeResult, maps: Mapping[str, TopoMap], advance: Advance
+    place: Workspace,
+    result: MergeResult,
+    maps: Mapping[str, TopoMap],
+    changed: Sequence[Change],
+    advance: Advance,
 ) -> dict[tuple[str, str], Decision]:
     """The evidence term by term of the pairs that a reader asks about first: undecided ones, then
-    the merged ones with the least evidence."""
+    the merged ones with the least evidence; each with what changed between the two."""
     from ..merge.robust.explained import Merge, explain
 
     if result.info.get("method") == "paper":
@@ -134,5 +146,8 @@ def _decisions(
     out = {}
     for done, v in enumerate(chosen):
         advance(done, f"{done} of {counted(len(chosen), 'pair')}", "explaining")
-        out[v.a, v.b] = explain(merge, v.a, v.b)
+        decision = explain(merge, v.a, v.b)
+        between = (c for c in changed if c.sure and c.differs_for(v.a, v.b))
+        notes = (c.words(result.component_of[v.a].name)[0] for c in between)
+        out[v.a, v.b] = replace(decision, notes=(*decision.notes, *notes))
     return out

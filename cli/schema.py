@@ -7,14 +7,12 @@ from typing import Annotated, Literal
 
 from ..merge.merged_schema import MergedDocument
 from ..topology.map_schema import MapDocument
-from .options import argument, verb
+from .options import verb
 from .output import say_lines
 
 
 @verb
-def schema(
-    document: Annotated[Literal["map", "merged"], argument("map|merged", "Which document.")],
-) -> None:
+def schema(document: Annotated[Literal["map", "merged"], "map|merged", "Which document."]) -> None:
     """Print the JSON Schema of a document.
 
     map: maps/RUN.json; merged: merged.json.

@@ -9,99 +9,79 @@ from typing import Annotated, Literal
 
 from ..topology.errors import UsageError
 from ..topology.wording import counted
-from .options import QuietOption, argument, option, verb
+from .options import Extra, QuietOption, verb
 from .output import counting, progress, say, show
 
 
 @verb
 def simulate(
-    out: Annotated[Path, argument("OUT", "Folder to write; must be new or empty.")],
+    out: Annotated[Path, "OUT", "Folder to write; must be new or empty."],
     world: Annotated[
         Literal["maze", "office", "organic", "city", "rows", "tiles"],
-        option(
-            "--world",
-            "Rectilinear maze, repetitive office floor, organic ways, city blocks, equal rows "
-            "of crops or racks, or tunnels of standard tiles that all such worlds share.",
-        ),
+        "--world",
+        "Rectilinear maze, repetitive office floor, organic ways, city blocks, equal rows of crops "
+        "or racks, or tunnels of standard tiles that all such worlds share.",
     ] = "maze",
-    runs: Annotated[int, option("--runs N", "Runs in the one world.", min=1, max=10_000)] = 3,
+    runs: Annotated[int, "--runs N", "Runs in the one world.", Extra(min=1, max=10_000)] = 3,
     unrelated: Annotated[
-        int, option("--unrelated N", "Further runs, each in a world of its own.", min=0, max=10_000)
+        int, "--unrelated N", "Further runs, each in a world of its own.", Extra(min=0, max=10_000)
     ] = 0,
     overlap: Annotated[
         float,
-        option(
-            "--overlap SHARE",
-            "Share of its junctions that a run has in common with the previous one.",
-            min=0.0,
-            max=0.9,
-        ),
+        "--overlap SHARE",
+        "Share of its junctions that a run has in common with the previous one.",
+        Extra(min=0.0, max=0.9),
     ] = 0.4,
     junctions: Annotated[
         int,
-        option(
-            "--junctions N",
-            "Approximate number of junctions that a run visits.",
-            min=5,
-            max=100_000,
-        ),
+        "--junctions N",
+        "Approximate number of junctions that a run visits.",
+        Extra(min=5, max=100_000),
     ] = 50,
     drift: Annotated[
-        Literal["none", "low", "mid", "high", "real"], option("--drift", "Odometry's error.")
+        Literal["none", "low", "mid", "high", "real"], "--drift", "Odometry's error."
     ] = "mid",
     faults: Annotated[
         Literal["none", "mild", "harsh"],
-        option("--faults", "How often junctions are missed, invented, or wrong about a branch."),
+        "--faults",
+        "How often junctions are missed, invented, or wrong about a branch.",
     ] = "mild",
     jumps: Annotated[
         int,
-        option(
-            "--jumps N",
-            "How often every run's odometry jumps, by 0.5 m and 30°, while the robot drives on.",
-            min=0,
-        ),
+        "--jumps N",
+        "How often every run's odometry jumps, by 0.5 m and 30°, while the robot drives on.",
+        Extra(min=0),
     ] = 0,
     changes: Annotated[
         int,
-        option(
-            "--changes N",
-            "Corridors that close or open between runs; topobatch changes finds them.",
-            min=0,
-            max=10_000,
-        ),
+        "--changes N",
+        "Corridors that close or open between runs; topobatch changes finds them.",
+        Extra(min=0, max=10_000),
     ] = 0,
     days: Annotated[
         float | None,
-        option(
-            "--days D",
-            "Days from the first run to the last; default: two hours from each to the next.",
-            min=0,
-            max=10_000,
-        ),
+        "--days D",
+        "Days from the first run to the last; default: two hours from each to the next.",
+        Extra(min=0, max=10_000),
     ] = None,
     laser: Annotated[
         bool,
-        option(
-            "--laser",
-            "Write a laser's scans instead of junction detections: walls, doors that open "
-            "and close, people walking, glass, as --faults says.",
-        ),
+        "--laser",
+        "Write a laser's scans instead of junction detections: walls, doors that open and close, "
+        "people walking, glass, as --faults says.",
     ] = False,
     detections: Annotated[
-        bool, option("--detections", "With --laser: write the detections as well.")
+        bool, "--detections", "With --laser: write the detections as well."
     ] = False,
     formats: Annotated[
         list[str] | None,
-        option(
-            "--format FORMAT",
-            "mcap, bag, db3 or ros2-mcap; given several times, they are dealt out to the "
-            "runs. Default: mcap.",
-        ),
+        "--format FORMAT",
+        "mcap, bag, db3 or ros2-mcap; given several times, they are dealt out to the runs. "
+        "Default: mcap.",
     ] = None,
-    seed: Annotated[int, option("--seed N", "The same seed writes the same messages.", min=0)] = 0,
+    seed: Annotated[int, "--seed N", "The same seed writes the same messages.", Extra(min=0)] = 0,
     force: Annotated[
-        bool,
-        option("--force", "Write into a folder in use; logs of the same runs there are replaced."),
+        bool, "--force", "Write into a folder in use; logs of the same runs there are replaced."
     ] = False,
     quiet: QuietOption = False,
 ) -> None:

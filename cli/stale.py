@@ -23,11 +23,10 @@ def contents(place: Workspace, runs: Sequence[str]) -> dict[str, str | None]:
     return found
 
 
-def changed_since(place: Workspace, merged: Mapping[str, str], runs: Sequence[str]) -> list[str]:
-    """Those of the runs whose maps differ from the merged ones.
-
-    merged: their `contents` by the document of the merge.
-    """
+def changed_since(place: Workspace, result: MergeResult, runs: Sequence[str]) -> list[str]:
+    """Those of the runs whose maps differ from the merged ones, by their `contents` in the
+    document of the merge."""
+    merged: Mapping[str, str] = result.info.get("maps") or {}
     now = contents(place, [run for run in runs if run in merged])
     return [run for run, content in now.items() if content != merged[run]]
 

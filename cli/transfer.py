@@ -19,7 +19,6 @@ import numpy as np
 import typer
 
 from ..merge.component_map import component_map
-from ..merge.result import home_of
 from ..merge.transfer import (
     WITHIN_SIGMAS,
     MatchedJunctions,
@@ -33,36 +32,29 @@ from ..topology.files import read_bytes
 from ..topology.map_schema import FARTHEST_M
 from ..topology.se2 import wrap
 from ..topology.wording import quoted_formula
-from .options import HereWithMerge, QuietOption, argument, complete_run, option, verb
+from .options import RUNS, Extra, HereWithMerge, QuietOption, verb
 from .output import checked_output, complain, say, say_text, show, write_files
 from .workspace import MERGED, Workspace
 
 
 @verb
 def transfer(
-    places: Annotated[Path, argument("PLACES.csv", "Table name,x,y[,theta].")],
-    source: Annotated[
-        str,
-        option("--from RUN", "The run in whose map the places are.", autocompletion=complete_run),
-    ],
+    places: Annotated[Path, "PLACES.csv", "Table name,x,y[,theta]."],
+    source: Annotated[str, "--from RUN", "The run in whose map the places are.", RUNS],
     target: Annotated[
         str,
-        option(
-            "--to RUN|SITE",
-            "The run, or the site of --from (its name, or merged), to carry them to.",
-            autocompletion=complete_run,
-        ),
+        "--to RUN|SITE",
+        "The run, or the site of --from (its name, or merged), to carry them to.",
+        RUNS,
     ],
     within: Annotated[
         float,
-        option(
-            "--within METRES",
-            "A place that may be off by more (95 % bound) is not carried.",
-            min=0.01,
-        ),
+        "--within METRES",
+        "A place that may be off by more (95 % bound) is not carried.",
+        Extra(min=0.01),
     ] = 0.5,
     output: Annotated[
-        Path | None, option("--output -o FILE", "File to write; default: -, the standard output.")
+        Path | None, "--output -o FILE", "File to write; default: -, the standard output."
     ] = None,
     *,
     place: HereWithMerge,
@@ -137,8 +129,8 @@ def _matched(place: Workspace, source: str, target: str) -> tuple[MatchedJunctio
     if source == target:
         raise UsageError(f"the places are in {source} already")
     result = place.read_result()
-    home = home_of(result.components)
-    names = {run: c.name for c in result.components for run in c.poses}
+    home = result.component_of
+    names = {run: c.name for run, c in home.items()}
     to_site = target not in home and target in (MERGED, place.merge, *names.values())
     named = [source] if to_site else [source, target]
     for run in named:
@@ -147,16 +139,17 @@ def _matched(place: Workspace, source: str, target: str) -> tuple[MatchedJunctio
             raise UsageError(f"{place.merged_json}: has no run {run!r}; merge it first")
     if to_site and target in names.values() and target != names[source]:
         return None, f"{source} is of the site {names[source]}, not of {target}"
-    if len({home[run] for run in named}) > 1:
+    if len({home[run].id for run in named}) > 1:
         found = (v for v in result.verdicts if {v.a, v.b} == {source, target})
         why = next((f": {v.verdict}, {v.reason}" for v in found), "")
         return None, f"{source} and {target} are not merged{why}"
-    maps = place.maps_as_merged(result, home[source], named)
+    component = home[source].id
+    maps = place.maps_as_merged(result, component, named)
     if len(named) == 2:
         matched = junctions_of_runs(result, maps, source, target)
     else:
         with place.document_at_fault():
-            fused = component_map(result, home[source], MERGED)
+            fused = component_map(result, component, MERGED)
         matched = junctions_of_merged(result, maps[source], fused)
     if not len(matched):
         why = f"no junction of {source} is matched to one of {target}"

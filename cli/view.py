@@ -15,7 +15,7 @@ from urllib.parse import quote
 import typer
 
 from ..topology.errors import DataError, UsageError
-from .options import Here, argument, complete_run, option, verb
+from .options import RUNS, Extra, Here, verb
 from .output import say
 from .workspace import MERGED, Workspace
 
@@ -27,23 +27,21 @@ HOST = "127.0.0.1"
 def view(
     what: Annotated[
         str,
-        argument(
-            "[RUN]",
-            "Run whose map to open, or the --output NAME of a merge; the merged map without.",
-            show_default=False,
-            autocompletion=complete_run,
-        ),
+        "[RUN]",
+        "Run whose map to open, or the --output NAME of a merge; the merged map without.",
+        RUNS,
+        Extra(show_default=False),
     ] = MERGED,
     *,
     place: Here,
     web: Annotated[
-        bool, option("--web", "Serve the viewer to browsers of this machine instead, until Ctrl-C.")
+        bool, "--web", "Serve the viewer to browsers of this machine instead, until Ctrl-C."
     ] = False,
     port: Annotated[
         int,
-        option(
-            "--port N", "With --web: port of the page, N + 1 that of the data.", min=1, max=65534
-        ),
+        "--port N",
+        "With --web: port of the page, N + 1 that of the data.",
+        Extra(min=1, max=65534),
     ] = 9090,
 ) -> None:
     """Open the merged map, or a run's, in the rerun viewer.

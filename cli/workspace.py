@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import shlex
 import stat
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
@@ -116,11 +116,6 @@ class Workspace:
     def history(self) -> Path:
         """What was done to the workspace."""
         return self.root / "history.jsonl"
-
-    @property
-    def decisions(self) -> list[Path]:
-        """Documents of what a person decided, which are no merges."""
-        return [self.root / f"{name}.json" for name in DECISIONS]
 
     def map_json(self, run: str) -> Path:
         """The map document of a run."""
@@ -399,20 +394,21 @@ class Workspace:
         self,
         *,
         locks: Sequence[Lock] | None = None,
-        discards: Iterable[tuple[str, str]] | None = None,
+        discards: Collection[tuple[str, str]] | None = None,
         sites: Mapping[str, Iterable[str]] | None = None,
     ) -> None:
         """Keep what is given in place of what was; nothing decided leaves no document."""
-        documents: dict[str, tuple[Any, Callable[[Any], Any]]] = {
-            "locks": (locks, locks_to_document),
-            "discards": (discards, discards_to_document),
-            "sites": (sites, sites_to_document),
+        documents = {
+            "locks": locks and locks_to_document(locks),
+            "discards": discards and discards_to_document(discards),
+            "sites": sites and sites_to_document(sites),
         }
-        for name, (given, to_document) in documents.items():
-            if given:
-                write_json(self.root / f"{name}.json", to_document(given))
-            elif given is not None:
-                self.root.joinpath(f"{name}.json").unlink(missing_ok=True)
+        for name, document in documents.items():
+            path = self.root / f"{name}.json"
+            if document:
+                write_json(path, document)
+            elif document is not None:
+                path.unlink(missing_ok=True)
 
     def rename_decided(self, names: Mapping[str, str | None]) -> None:
         """Give runs new names in what a person decided; what is about a run that gets None goes."""

@@ -13,7 +13,7 @@ from textwrap import wrap
 import numpy as np
 
 from ..topology.arrays import FloatArray
-from ..topology.wording import MOST_NAMES, counted
+from ..topology.wording import MOST_NAMES, counted, folded
 from ..topology.wording import listed as names_listed
 from .decision import AGAINST, LINKS, Decision, Placement, Term, TermKind
 from .locks import DISCARDED, discarded
@@ -29,6 +29,9 @@ MOST_LINKS = 8
 
 TITLE = "for (+) and against it (-)"
 """Of the table of evidence; a narrower column of texts has the junctions in it as well."""
+
+INDENT = ("  ", "    ")
+"""Of a line below the headline, and of its continuation."""
 
 LONGEST_NAME = 18
 """Longer names of runs are shortened in the middle."""
@@ -324,37 +327,25 @@ def lines(decision: Decision, links: int | None = None, width: int = WIDTH) -> l
     """The decision as lines of a terminal, `width` columns wide, the verdict first. links: most
     rows of links, `MOST_LINKS` by default."""
     pair = decision.pair
-    out = _folded(headline(decision), width)
+    out = folded(headline(decision), width, rest="  ")
     reasons = [because(decision), lies(decision)]
     poses = [p.alignment.transform for p in decision.placements]
     for line in reversed(reasons) if pair.through else reasons:
-        out += _folded(line, width, "  ")
+        out += folded(line, width, *INDENT)
     if pair.through and decision.placements:
         own = f"their own best placement, at {_pose(poses[0])}, does not count:"
-        out += _folded(own, width, "  ")
+        out += folded(own, width, *INDENT)
     elif len(decision.placements) > 1:
         second = f"the {other_name(decision)} lays it at {_pose(poses[1])}"
-        out += _folded(second, width, "  ")
+        out += folded(second, width, *INDENT)
     out += _table(decision, MOST_LINKS if links is None else links, width)
     if decision.placements:
         pairs = f"{short(pair.a)} = {short(pair.b)}: {matched(decision.placements[0])}"
-        out += _folded(pairs, width, "  ")
-    out += _folded(advice(decision), width, "  ")
+        out += folded(pairs, width, *INDENT)
+    out += folded(advice(decision), width, *INDENT)
     for note in decision.notes:
-        out += _folded(f"Note: {note}", width, "  ")
+        out += folded(f"Note: {note}", width, *INDENT)
     return out
-
-
-def _folded(text: str, width: int, indent: str = "") -> list[str]:
-    """A text wrapped to several lines. Long words, paths for instance, stay whole."""
-    return wrap(
-        text,
-        width,
-        initial_indent=indent,
-        subsequent_indent=indent + "  ",
-        break_long_words=False,
-        break_on_hyphens=False,
-    )
 
 
 def _table(decision: Decision, links: int, width: int) -> list[str]:
@@ -371,7 +362,8 @@ def _table(decision: Decision, links: int, width: int) -> list[str]:
         return [f"{left}{first:<{room}}{right}".rstrip(), *(" " * len(left) + m for m in more)]
 
     if not count:
-        return _folded(f"{_threshold(decision)} bits needed: {needs(decision)}", width, "    ")
+        needed = f"{_threshold(decision)} bits needed: {needs(decision)}"
+        return folded(needed, width, "    ", "      ")
     head = ["this", "next"][:count] if count > 1 else ["bits"]
     names = (short(pair.a, 10), short(pair.b, 10))
     shown = rows(decision, links)

@@ -200,8 +200,8 @@ def result_from_document(document: MergedDocument) -> MergeResult:
     """The result that a document was written from: numbers as rounded there, unrelated pairs
     without their alignments, placements without their covariance.
 
-    Raises ValueError if the document names a vertex, a branch or a component that it lacks, or
-    fuses what is of two components.
+    Raises ValueError if the document names a vertex, a branch, a component or a run that it lacks,
+    or fuses what is of two components.
     """
     graph = document.graph
     components = tuple(
@@ -211,17 +211,22 @@ def result_from_document(document: MergedDocument) -> MergeResult:
         for c in graph.components
     )
     fused = _fused_from(document)
-    _check_components(components, fused)
+    verdicts = tuple(map(_verdict_from, document.merges))
+    _check_components(components, fused, verdicts)
     named = graph.model_dump(exclude_unset=True)
     own = ("components", "unlisted")
     info: dict[str, Any] = {key: value for key, value in named.items() if key not in own}
-    verdicts = tuple(map(_verdict_from, document.merges))
     return MergeResult(components, fused, verdicts, info, graph.unlisted)
 
 
-def _check_components(components: Sequence[Component], fused: FusedMap) -> None:
-    """ValueError if what is fused is not of one component alone, or of one that is not there."""
+def _check_components(
+    components: Sequence[Component], fused: FusedMap, verdicts: Sequence[PairVerdict]
+) -> None:
+    """ValueError if what is fused is not of one component alone, or of one that is not there, or a
+    verdict is on a run of none."""
     home = home_of(components)
+    if unknown := sorted({run for v in verdicts for run in (v.a, v.b)} - home.keys()):
+        raise ValueError(f"run {unknown[0]!r} is in no component")
     strange = sorted(set(fused.component.tolist()) - {c.id for c in components})
     if strange:
         raise ValueError(f"there is no component {strange[0]}")

@@ -31,16 +31,7 @@ from ..topology.digits import METRES, rounded
 from ..topology.driven_branches import driven_branches
 from ..topology.se2 import apply, compose, inverse
 from .drive import Drive, Stop, Undriven
-from .result import (
-    Component,
-    FusedMap,
-    MergeResult,
-    PairVerdict,
-    Verdict,
-    fused_of,
-    home_of,
-    pairs_of,
-)
+from .result import Component, FusedMap, MergeResult, PairVerdict, Verdict, fused_of, pairs_of
 from .robust.settings import MATCH
 
 
@@ -148,11 +139,11 @@ SiteOf = Callable[[int], _Site]
 def _joining(result: MergeResult, site: SiteOf, wanted: Collection[int]) -> Iterator[Drive]:
     """For every two sites with an open pair of runs the drive that would join them; `wanted`: the
     components of which one is to be among the two."""
-    home = {run: c for c in result.components for run in c.poses}
+    home = result.component_of
     between: dict[tuple[int, int], list[PairVerdict]] = {}
     for pair in result.verdicts:
-        one, two = home.get(pair.a), home.get(pair.b)
-        if one is None or two is None or one.id == two.id or not _is_open(pair):
+        one, two = home[pair.a], home[pair.b]
+        if one.id == two.id or not _is_open(pair):
             continue
         key = sorted((one, two), key=lambda c: (-len(c.poses), c.id))
         if one.id in wanted or two.id in wanted:
@@ -188,11 +179,11 @@ def _right(pair: PairVerdict) -> float:
 
 def _placed(result: MergeResult) -> dict[int, list[PairVerdict]]:
     """The pairs with a placement of the runs of each component."""
-    home = home_of(result.components)
+    home = result.home
     out: dict[int, list[PairVerdict]] = {c.id: [] for c in result.components}
     for pair in result.verdicts:
         if pair.best is not None:
-            for c in {home[run] for run in (pair.a, pair.b) if run in home}:
+            for c in {home[pair.a], home[pair.b]}:
                 out[c].append(pair)
     return out
 
@@ -410,8 +401,8 @@ def _overlapping_share(result: MergeResult) -> float:
     """How likely a branch never driven leads to another site: the share of pairs of runs of two
     sites that are open (Laplace's rule of succession, so that none of few says little); 0 where
     there is no other site."""
-    home = home_of(result.components)
-    open_ = sum(_is_open(p) and home.get(p.a) != home.get(p.b) for p in result.verdicts)
+    home = result.home
+    open_ = sum(_is_open(p) and home[p.a] != home[p.b] for p in result.verdicts)
     across = pairs_of(len(home)) - sum(pairs_of(len(c.poses)) for c in result.components)
     return (open_ + 1) / (across + 2) if across else 0.0
 

@@ -86,8 +86,7 @@ def locks_among(locks: Iterable[Lock], maps: Mapping[str, TopoMap]) -> dict[tupl
 
 def with_lock(locks: Sequence[Lock], lock: Lock) -> tuple[Lock, ...]:
     """The locks with one more, which replaces that of the same pair; sorted."""
-    kept = [k for k in locks if (k.a, k.b) != (lock.a, lock.b)]
-    return tuple(sorted([*kept, lock], key=lambda k: (k.a, k.b)))
+    return tuple(sorted([*without_lock(locks, lock.a, lock.b), lock]))
 
 
 def without_lock(locks: Sequence[Lock], a: str, b: str) -> tuple[Lock, ...]:

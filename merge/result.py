@@ -396,6 +396,11 @@ class MergeResult:
     unlisted: UnlistedPairs | None = None
 
     @property
+    def component_of(self) -> dict[str, Component]:
+        """The component of every run."""
+        return {run: c for c in self.components for run in c.poses}
+
+    @property
     def home(self) -> dict[str, int]:
         """The component of every run, by its number."""
         return home_of(self.components)

@@ -103,7 +103,7 @@ def junctions_of_runs(
         for members, turned in zip(fused.members, fused.is_turned, strict=True)
         if not turned and members.get(source) and members.get(target)
     ]
-    poses = {run: pose for c in result.components for run, pose in c.poses.items()}
+    poses = result.component_of[source].poses
     turn = float(poses[source][2] - poses[target][2])
     return _matched(maps[source], maps[target], pairs, turn)
 
@@ -112,8 +112,8 @@ def junctions_of_merged(result: MergeResult, source: TopoMap, merged: TopoMap) -
     """The junctions of a run in the fused map of its component (`component_map`)."""
     nodes = merged.info["members"]["nodes"][: len(merged)]
     pairs = [(vertex, k) for k, own in enumerate(nodes) for vertex in own.get(source.run, ())]
-    poses = {run: pose for c in result.components for run, pose in c.poses.items()}
-    return _matched(source, merged, pairs, float(poses[source.run][2]))
+    pose = result.component_of[source.run].poses[source.run]
+    return _matched(source, merged, pairs, float(pose[2]))
 
 
 def _matched(

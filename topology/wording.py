@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from datetime import UTC, datetime
+from textwrap import wrap
 
 MOST_NAMES = 12
 """As many names of usual length as two lines of a terminal hold."""
@@ -39,6 +40,19 @@ def listed(names: Sequence[str], most: int = MOST_NAMES) -> str:
     """Names in one line: the first `most` of them and the number of the others."""
     rest = len(names) - most
     return ", ".join(names[:most]) + (f" and {rest} more" if rest > 0 else "")
+
+
+def folded(text: str, width: int, first: str = "", rest: str = "") -> list[str]:
+    """A long line as several of at most `width` letters; first, rest: their indentation. Long
+    words, paths for instance, stay whole."""
+    return wrap(
+        text,
+        width,
+        initial_indent=first,
+        subsequent_indent=rest,
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
 
 
 def counted(number: int, noun: str, plural: str | None = None) -> str:

@@ -21,7 +21,7 @@ from .canvas import TEXT_PT, WIDTH_PT, Canvas, letters
 from .geometry import MOST_NUMBERED, ROOM_MARKERS, TURNED, bounds, extent, usual_m
 from .pages import describe_corridor, describe_map
 from .palette import LARGE, MEDIUM, THIN, Theme
-from .parts import Part, lay_out, ranks
+from .parts import Part, lay_out
 from .scene import draw_component, draw_ends, draw_frame, draw_unexplored, draw_walls
 from .sheet import Cell, corners_of, outline, upright_rad
 from .surface import Look
@@ -130,7 +130,7 @@ def draw_merged(
     for drive in drives or ():
         to_hold.get(drive.component, []).append(drive.path)
     parts = lay_out(result, {c: np.concatenate(own) for c, own in to_hold.items()}, views)
-    cells, rank, free = [part.cell for part in parts], ranks(result), ~driven_branches(fused)
+    cells = [part.cell for part in parts]
     width_pt = float(np.clip(CELL_PT * np.sqrt(len(parts)), WIDTH_PT, 2 * WIDTH_PT))
     corners, usual = bounds([corners_of(cells)]), usual_m(shown.fused.length)
     canvas = Canvas(*corners, theme, usual, width_pt, name="merged")
@@ -138,12 +138,14 @@ def draw_merged(
     too_many = sites is not None and shown.fused.junctions > MOST_NUMBERED
     numbers = set() if sites is None else _named(drives, changes) if too_many else None
     if too_many and drives is not None and not drives:
-        numbers = set(fused.branches.owner[free].tolist())
+        numbers = set(fused.branches.owner[~driven_branches(fused)].tolist())
     several = sum(len(part.component.poses) > 1 for part in parts)
     for part in parts:
         draw_walls(canvas, views[part.component.id], part.cell.T_sheet_map, theme["wall"])
         draw_component(
-            *(canvas, fused, part, rank, free),
+            canvas,
+            fused,
+            part,
             several=several,
             detailed=sites is not None,
             numbers=numbers,
@@ -176,10 +178,10 @@ def _heading(
     title = f"{runs}: {shown.described_sites}"
     if alone is not None and alone.component.site:
         title = f"{alone.component.site}: {runs}"
-    title = title if drives is None else f"What to record next: {title}"
-    title += "" if drives is None or drives else ": no drive is proposed"
-    title = title if changes is None else f"What changed: {title}"
-    title += "" if changes is None or changes else ": nothing changed"
+    if drives is not None:
+        title = f"What to record next: {title}{'' if drives else ': no drive is proposed'}"
+    if changes is not None:
+        title = f"What changed: {title}{'' if changes else ': nothing changed'}"
     count, (corridors_m, ways_m) = shown.standings(), shown.fused.lengths_m
     joined = count[Standing.JOINED]
     size = (

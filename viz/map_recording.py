@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -363,7 +363,5 @@ def _scans(recording: Recording, passes: ScanPasses, topomap: TopoMap, track: Ro
 
 def _correction(topomap: TopoMap, name: str) -> float:
     """What the map was corrected by, by its name in `graph.calibration`; 0 if it was not."""
-    errors = topomap.info.get("calibration")
-    error = errors.get(name) if isinstance(errors, Mapping) else None
-    applied = error.get("applied") if isinstance(error, Mapping) else None
-    return float(applied) if isinstance(applied, (int, float)) else 0.0
+    error = topomap.info.get("calibration", {}).get(name)
+    return 0.0 if error is None else float(error["applied"])

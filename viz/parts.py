@@ -1,16 +1,13 @@
-"""A merge to be shown: its components in order and on a sheet, colours of runs, and the matrix of
-verdicts."""
+"""A merge to be shown: its components in order and on a sheet, and colours of runs."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..merge.result import Component, MergeResult, PairVerdict, Standing
+from ..merge.result import Component, MergeResult
 from ..topology.arrays import FloatArray, IntArray
 from . import palette
 from .sheet import Cell, arrange, upright_rad
@@ -69,56 +66,18 @@ def rows_of(owner: IntArray, wanted: list[int]) -> list[IntArray]:
     return [order[i:j] for i, j in zip(begin.tolist(), end.tolist(), strict=True)]
 
 
-def ranks(result: MergeResult) -> dict[str, int]:
-    """Rank of each run in its component by name, which selects its colour."""
-    return {run: k for c in result.components for k, run in enumerate(sorted(c.poses))}
-
-
 def colours_of(
     result: MergeResult, theme: palette.Theme = palette.DARK
 ) -> dict[str, palette.Colour]:
-    """The colour of each run, the viewer's by default; runs that merged with none are grey."""
-    rank = ranks(result)
+    """The colour of each run by its rank in its component, the viewer's by default; runs that
+    merged with none are grey."""
     return {
-        run: theme.run(rank[run]) if len(c.poses) > 1 else theme["single"]
+        run: theme.run(rank) if len(c.poses) > 1 else theme["single"]
         for c in result.components
-        for run in c.poses
+        for rank, run in enumerate(sorted(c.poses))
     }
-
-
-DIAGONAL = 0
-CLASS = {standing: k for k, standing in enumerate(Standing, start=DIAGONAL + 1)}
-"""Class of each standing in the verdict matrix."""
 
 
 def runs_in_order(result: MergeResult) -> list[str]:
     """All runs by component, `in_order`."""
     return [run for component in in_order(result) for run in sorted(component.poses)]
-
-
-def spans_of(result: MergeResult) -> list[tuple[str, int, int]]:
-    """The name of every site, its first row by `runs_in_order`, and the row after its last."""
-    order = in_order(result)
-    stops = np.cumsum([0, *(len(c.poses) for c in order)]).tolist()
-    return [(c.name, *ends) for c, ends in zip(order, pairwise(stops), strict=True)]
-
-
-def verdict_matrix(result: MergeResult, runs: Sequence[str]) -> NDArray[np.uint8]:
-    """(n, n) classes of all pairs, symmetric, rows and columns in the given order."""
-    row = {run: i for i, run in enumerate(runs)}
-    matrix = np.full((len(runs), len(runs)), CLASS[Standing.UNRELATED], np.uint8)
-    if result.unlisted is not None:
-        for component in result.components:  # pairs that are not listed
-            rows = [row[run] for run in component.poses if run in row]
-            matrix[np.ix_(rows, rows)] = CLASS[Standing.JOINED]
-    np.fill_diagonal(matrix, DIAGONAL)
-    for pair in result.verdicts:
-        if pair.a in row and pair.b in row:
-            i, j = row[pair.a], row[pair.b]
-            matrix[i, j] = matrix[j, i] = CLASS[pair.standing]
-    return matrix
-
-
-def strongest(pairs: Iterable[PairVerdict]) -> list[PairVerdict]:
-    """Pairs in descending order of evidence, then by name."""
-    return sorted(pairs, key=lambda p: (-p.evidence_bits, p.a, p.b))

@@ -23,7 +23,7 @@ from ..merge.change import Change, numbered
 from ..merge.decision import Decision
 from ..merge.decision_text import weakest_links
 from ..merge.drive import Drive
-from ..merge.result import Component, MergeResult, Standing, home_of, of_sites, shown_bits
+from ..merge.result import Component, MergeResult, Standing, of_sites, shown_bits
 from ..topology.made_from import describe_junctions
 from ..topology.topomap import TopoMap
 from ..topology.wording import counted, legible, listed, to_turning_points, utc
@@ -172,8 +172,7 @@ def _warnings(report: Report) -> list[str]:
     out = [*report.warnings]
     if report.result is not None:
         out += [str(w) for w in report.result.info.get("warnings") or ()]
-        home = {run for c in report.result.components for run in c.poses}
-        if left := sorted(set(report.maps) - home):
+        if left := sorted(report.maps.keys() - report.result.home.keys()):
             out.append(f"Not in the last merge: {listed(left)}")
     return out
 
@@ -186,7 +185,7 @@ def _sites(report: Report) -> list[dict[str, Any]]:
         return []
     begins = {d.component for d in report.drives}
     listed_all = bool(report.unexplored) or len(result.components) == 1
-    weakest = weakest_links(result.verdicts, home_of(result.components))
+    weakest = weakest_links(result.verdicts, result.home)
     several, alone = _groups(result)
     shown = [*several, *(c for c in alone if c.id in begins or listed_all)]
     largest = sorted(shown, key=lambda c: -len(c.poses))[:MOST_MAPS]
@@ -232,18 +231,15 @@ def _changes(report: Report) -> list[tuple[str, list[tuple[int, str]]]]:
 
 def _health(report: Report, runs: Sequence[str]) -> list[tuple[list[str], list[str]]]:
     """For each run the cells of its row, and what is said below it."""
-    home: dict[str, str] = {}
-    if report.result is not None:
-        home = {run: c.name for c in report.result.components for run in c.poses}
+    home = {} if report.result is None else report.result.component_of
     out = []
     for run in runs:
         if run in report.maps:
             m = report.maps[run]
             source = describe_junctions(m.info)
             warnings = [str(w) for w in m.info.get("warnings") or ()][:8]
-            out.append(
-                ([run, home.get(run, "—"), *_measured(m)], ([source] if source else []) + warnings)
-            )
+            site = home[run].name if run in home else "—"
+            out.append(([run, site, *_measured(m)], ([source] if source else []) + warnings))
     return out
 
 

@@ -22,7 +22,6 @@ from ..merge.change import Change
 from ..merge.drive import Drive
 from ..merge.result import Component, MergeResult, site_views
 from ..topology.arrays import FloatArray
-from ..topology.driven_branches import driven_branches
 from ..topology.polyline import simplify
 from ..topology.run import Grid
 from ..topology.topomap import TopoMap
@@ -30,7 +29,7 @@ from ..topology.turning_vertices import with_turning_points
 from ..topology.wording import legible
 from .geometry import FINEST_M, MARGIN, PENS, usual_m
 from .palette import BOTH, MEDIUM, THIN, rgb
-from .parts import lay_out, ranks
+from .parts import lay_out
 from .scene import draw_component, draw_walls
 from .sheet import upright_rad
 from .surface import Look
@@ -67,12 +66,7 @@ def site_map(
     surface = SiteFigure(part.cell.low, part.cell.high, usual_m(fused.length[part.edges]))
     draw_walls(surface, views, part.cell.T_sheet_map, surface.theme.ink, alpha=0.5)
     draw_component(
-        *(surface, fused, part, ranks(result), ~driven_branches(fused)),
-        several=1,
-        detailed=True,
-        numbers=None,
-        drives=drives,
-        changes=changes,
+        surface, fused, part, several=1, detailed=True, numbers=None, drives=drives, changes=changes
     )
     return surface.plot
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Mapping, Sequence
-from itertools import product
+from itertools import pairwise, product
 from typing import Any
 
 import numpy as np
 from bokeh.models import ColumnDataSource, FixedTicker, LinearColorMapper
+from numpy.typing import NDArray
 
 from ..merge.decision import LINKS, Decision, Placement
 from ..merge.decision_text import (
@@ -22,7 +23,7 @@ from ..merge.decision_text import (
     short,
     to_record,
 )
-from ..merge.result import Alignment, MergeResult, PairVerdict, Standing, home_of, shown_bits
+from ..merge.result import Alignment, MergeResult, PairVerdict, Standing, shown_bits
 from ..topology.matching.views import SILENT, Compared
 from ..topology.se2 import turned
 from ..topology.topomap import TopoMap
@@ -31,7 +32,7 @@ from ..topology.views import CELL_M
 from ..topology.wording import legible
 from .geometry import between
 from .palette import BOTH, RING, SMALL, THIN, rgb
-from .parts import CLASS, runs_in_order, spans_of, strongest, verdict_matrix
+from .parts import in_order, runs_in_order
 from .report_maps import (
     CHOSEN,
     PEN_PX,
@@ -57,6 +58,10 @@ STANDING_COLOURS = {
 }
 """The colour of each standing of a pair, on white and on dark paper."""
 
+DIAGONAL = 0
+CLASS = {standing: k for k, standing in enumerate(Standing, start=DIAGONAL + 1)}
+"""Class of each standing in the verdict matrix."""
+
 MOST_NAMES = 40
 """Up to this many runs the matrix has their names; of more those of their sites."""
 
@@ -66,14 +71,13 @@ MOST_LINKS = 12
 
 def matrix_figure(result: MergeResult) -> Any:
     """The standing of every pair as a coloured square, the runs of a site framed; row 0 on top."""
-    runs = runs_in_order(result)
+    runs, spans = runs_in_order(result), spans_of(result)
     n = len(runs)
     plot: Any = blank_figure((0, n), (n, 0), "")
     plot.update(outline_line_color=BOTH.ink)
     colours = [BOTH["single"], *(STANDING_COLOURS[s] for s in CLASS)]
     mapper = LinearColorMapper(palette=colours, low=-0.5, high=len(colours) - 0.5)
-    plot.image(image=[verdict_matrix(result, runs)], x=0, y=0, dw=n, dh=n, color_mapper=mapper)
-    spans = spans_of(result)
+    plot.image(image=[verdict_matrix(result)], x=0, y=0, dw=n, dh=n, color_mapper=mapper)
     begins, ends = ([span[k] for span in spans if span[2] - span[1] > 1] for k in (1, 2))
     sides = {"left": begins, "right": ends, "top": begins, "bottom": ends}
     framed, look = (
@@ -101,6 +105,28 @@ def matrix_figure(result: MergeResult) -> Any:
         )
     plot.xaxis[0].update(major_label_orientation="vertical")
     return plot
+
+
+def spans_of(result: MergeResult) -> list[tuple[str, int, int]]:
+    """The name of every site, its first row by `runs_in_order`, and the row after its last."""
+    order = in_order(result)
+    stops = np.cumsum([0, *(len(c.poses) for c in order)]).tolist()
+    return [(c.name, *ends) for c, ends in zip(order, pairwise(stops), strict=True)]
+
+
+def verdict_matrix(result: MergeResult) -> NDArray[np.uint8]:
+    """(n, n) classes of all pairs, symmetric, rows and columns by `runs_in_order`."""
+    row = {run: i for i, run in enumerate(runs_in_order(result))}
+    matrix = np.full((len(row), len(row)), CLASS[Standing.UNRELATED], np.uint8)
+    if result.unlisted is not None:
+        for component in result.components:  # pairs that are not listed
+            rows = [row[run] for run in component.poses]
+            matrix[np.ix_(rows, rows)] = CLASS[Standing.JOINED]
+    np.fill_diagonal(matrix, DIAGONAL)
+    for pair in result.verdicts:
+        i, j = row[pair.a], row[pair.b]
+        matrix[i, j] = matrix[j, i] = CLASS[pair.standing]
+    return matrix
 
 
 def pair_figure() -> Any:
@@ -149,10 +175,11 @@ def page_data(
     the junctions that placements name.
     """
     row = {run: k for k, run in enumerate(runs)}
-    home = home_of(result.components if result else ())
+    home = result.home if result else {}
     reasons: dict[str, int] = {}
     pairs = []
-    for p in strongest(result.verdicts if result else ()):
+    verdicts = result.verdicts if result else ()
+    for p in sorted(verdicts, key=lambda p: (-p.evidence_bits, p.a, p.b)):
         number = reasons.setdefault(legible(p.reason), len(reasons))
         entry: dict[str, Any] = {"i": row[p.a], "j": row[p.b], "s": CLASS[p.standing] - 1}
         entry |= {"r": number, "bits": shown_bits(p.evidence_bits)}

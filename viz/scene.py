@@ -5,7 +5,7 @@ What is drawn later lies above.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Sequence
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from ..merge.change import Change, ChangeKind, numbered
 from ..merge.drive import Drive
 from ..merge.result import FusedMap
 from ..topology.arrays import BoolArray, FloatArray
+from ..topology.driven_branches import driven_branches
 from ..topology.matching.views import AGREES, CONTRADICTS, SILENT, Compared
 from ..topology.se2 import apply
 from ..topology.topomap import Graph
@@ -96,8 +97,6 @@ def draw_component(
     surface: Surface,
     fused: FusedMap,
     part: Part,
-    rank: Mapping[str, int],
-    free: BoolArray,
     *,
     several: int,
     detailed: bool,
@@ -107,27 +106,27 @@ def draw_component(
 ) -> None:
     """Draw a component's corridors as strands of its runs, its junctions and turning points.
 
-    rank: of runs, for their colours; free: branches that nobody drove (total branches,), drawn
-    where there is a list of drives; several: how many components of several runs are drawn;
-    detailed: whether the frame is drawn, and tips say what strands and junctions are, not only
-    whose; numbers: junctions to be numbered, all by default.
+    several: how many components of several runs are drawn; detailed: whether the frame is drawn,
+    and tips say what strands and junctions are, not only whose; numbers: junctions to be numbered,
+    all by default; drives: with a list of them, branches that nobody drove are drawn.
     """
     T, theme = part.cell.T_sheet_map, surface.theme
     _bands(surface, fused, part, drives or (), changes)
-    alone = len(part.component.poses) == 1
+    runs = sorted(part.component.poses)
     for (run, pens), own in strands(fused, part.edges, surface.pen_m).items():
         key = run if several == 1 else f"{part.component.name}: {run}"
         surface.lines(
             [apply(T, path) for path in own.values()],
             Look(
-                theme["single"] if alone else theme.run(rank[run]),
+                theme["single"] if len(runs) == 1 else theme.run(runs.index(run)),
                 pens,
                 tips=[_describe_strand(fused, edge, run) for edge in own] if detailed else [run],
-                key="run that is merged with none" if alone else key,
+                key="run that is merged with none" if len(runs) == 1 else key,
             ),
         )
     if drives is not None:
-        draw_unexplored(surface, fused, T, free & np.isin(fused.branches.owner, part.vertices))
+        free = ~driven_branches(fused) & np.isin(fused.branches.owner, part.vertices)
+        draw_unexplored(surface, fused, T, free)
     kinds = [fused.kind[v] for v in part.vertices.tolist()]
     turned = np.array([kind in TURNED for kind in kinds], bool)
     ends = part.vertices[turned]

@@ -61,6 +61,7 @@ def test_pairs_that_are_only_counted_stay_counted(document) -> None:
         ("nodes", "id", 7, "node ids"),
         ("nodes", "members", {"nobody": [0]}, "'nobody' is a member of what is not its"),
         ("nodes", "y", -1e300, "nodes.0.y"),
+        ("merges", "a", "Nobody", "'Nobody' is in no component"),
         ("edges", "target", 10**9, "target is no node"),
         ("edges", "source_branch", 10**9, "source_branch is none"),
     ],

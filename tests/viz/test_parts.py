@@ -6,28 +6,28 @@ import numpy as np
 from topobatch.merge.result import MergeResult, Standing
 from topobatch.topology.topomap import TopoMap
 from topobatch.viz.pages import closure_texts, map_page, merge_page
-from topobatch.viz.parts import CLASS, DIAGONAL, runs_in_order, verdict_matrix
+from topobatch.viz.parts import runs_in_order
+from topobatch.viz.report_pairs import CLASS, DIAGONAL, verdict_matrix
 
 Merge = Callable[..., tuple[MergeResult, list[TopoMap]]]
 
 
 def test_the_matrix_says_what_the_verdicts_say(merge_of: Merge) -> None:
     result, _ = merge_of([["z"], ["a", "c"]], ambiguous=[("c", "z")])
-    runs = runs_in_order(result)
-    assert runs == ["a", "c", "z"]
+    assert runs_in_order(result) == ["a", "c", "z"]
     expected = [
         [DIAGONAL, CLASS[Standing.MERGED], CLASS[Standing.UNRELATED]],
         [CLASS[Standing.MERGED], DIAGONAL, CLASS[Standing.AMBIGUOUS]],
         [CLASS[Standing.UNRELATED], CLASS[Standing.AMBIGUOUS], DIAGONAL],
     ]
-    assert np.array_equal(verdict_matrix(result, runs), expected)
+    assert np.array_equal(verdict_matrix(result), expected)
 
 
 def test_pairs_that_only_others_join_are_not_called_unrelated(merge_of: Merge) -> None:
     result, _ = merge_of([["a", "b"], ["c"]])
     joined = tuple(replace(v, through=("b",)) if v.b == "c" else v for v in result.verdicts)
     result = replace(result, verdicts=joined)
-    assert verdict_matrix(result, ["a", "b", "c"])[0, 2] == CLASS[Standing.JOINED]
+    assert verdict_matrix(result)[0, 2] == CLASS[Standing.JOINED]
     assert "2 joined through others, 0 ambiguous, 0 unrelated" in merge_page(result)
 
 

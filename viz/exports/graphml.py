@@ -13,7 +13,7 @@ import numpy as np
 from ...topology.digits import significant
 from ...topology.document import map_to_document
 from ...topology.topomap import TopoMap
-from .route_graph import driving_seconds, gone_properties, seconds_sigma
+from .route_graph import driving_seconds, gone_properties, known_seconds, seconds_sigma
 
 
 def graphml(topomap: TopoMap) -> str:
@@ -24,18 +24,14 @@ def graphml(topomap: TopoMap) -> str:
     graph = nx.MultiGraph(run=topomap.run, frame=topomap.frame, length_scale_sigma=scale)
     document = map_to_document(topomap)
     members = topomap.info.get("members", {})
-    seconds, spread = driving_seconds(topomap), seconds_sigma(topomap)
+    times = np.stack([driving_seconds(topomap), seconds_sigma(topomap)], axis=1).tolist()
     for k, node in enumerate(document["nodes"]):
         more = {"members": members["nodes"][k]} if members else {}
         graph.add_node(node["id"], **_scalars({**node, **more}, leave={"id", "observations"}))
         graph.nodes[node["id"]]["passes"] = len(node["observations"])
     for k, edge in enumerate(document["edges"]):
         more = {"members": members["edges"][k]} if members else {}
-        more |= gone_properties(topomap, k)
-        if np.isfinite(seconds[k]):
-            more["seconds"] = significant(float(seconds[k]))
-        if np.isfinite(spread[k]):
-            more["seconds_sigma"] = significant(float(spread[k]))
+        more |= gone_properties(topomap, k) | known_seconds(*times[k])
         values = _scalars({**edge, **more}, leave={"source", "target", "key", "traversal_ns"})
         graph.add_edge(edge["source"], edge["target"], key=edge["key"], **values)
     return "\n".join(nx.generate_graphml(graph, named_key_ids=False)) + "\n"

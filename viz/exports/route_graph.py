@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ...topology.arrays import FloatArray, IntArray
+from ...topology.digits import significant
 from ...topology.polyline import simplify, way_of
 from ...topology.topomap import TopoMap
 from ...topology.wording import utc
@@ -130,6 +131,12 @@ def seconds_sigma(topomap: TopoMap) -> FloatArray:
     freedom = sum(len(t) - 1 for t in again)
     differ = np.sqrt(sum(float(t @ t) for t in again) / freedom)
     return np.asarray(differ * seconds / np.sqrt(np.maximum(count, 1)))
+
+
+def known_seconds(seconds: float, sigma: float) -> dict[str, float]:
+    """A driving time and its standard deviation for an export, without what is unknown."""
+    both = {"seconds": seconds, "seconds_sigma": sigma}
+    return {name: significant(value) for name, value in both.items() if np.isfinite(value)}
 
 
 def driving_speed(topomap: TopoMap) -> FloatArray:

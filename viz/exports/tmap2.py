@@ -18,7 +18,7 @@ import numpy as np
 from ...topology.digits import METRES, rounded, significant
 from ...topology.topomap import TopoMap
 from ...topology.wording import utc
-from .route_graph import VIA, RouteGraph, gone_properties, last_pass_ns, route_graph
+from .route_graph import VIA, RouteGraph, gone_properties, known_seconds, last_pass_ns, route_graph
 from .yaml_lines import yaml_text
 
 ACTION = "navigate_to_pose"
@@ -117,16 +117,13 @@ def _edges(topomap: TopoMap, graph: RouteGraph, names: list[str]) -> list[list[d
             used[edge_id] = used.get(edge_id, 0) + 1
             again = f"_{used[edge_id]}" if used[edge_id] > 1 else ""
             length = rounded(graph.length[k], METRES)
-            properties: dict[str, Any] = {
+            properties = {
                 "weight": length,
                 "length": length,
                 "length_sigma": rounded(graph.length_sigma[k], METRES),
                 **gone_properties(topomap, int(graph.edge[k])),
+                **known_seconds(float(graph.seconds[k]), float(graph.seconds_sigma[k])),
             }
-            if np.isfinite(graph.seconds[k]):
-                properties["seconds"] = significant(float(graph.seconds[k]))
-            if np.isfinite(graph.seconds_sigma[k]):
-                properties["seconds_sigma"] = significant(float(graph.seconds_sigma[k]))
             out[start].append(
                 {
                     "action": ACTION,
