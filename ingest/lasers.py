@@ -27,7 +27,7 @@ directions and add none; two are left for the rounding of both ends."""
 FIRST_SCANS = 50
 """Number of scans read to find out their frames and clock."""
 
-ANYWHERE = Mounting(otherwise=lambda _: np.array(NOWHERE_ELSE))
+ANYWHERE = Mounting(otherwise=lambda _: NOWHERE_ELSE)
 
 
 @dataclass(frozen=True, slots=True)

@@ -283,8 +283,8 @@ def _axes(forks: _Forks, usual: float) -> tuple[FloatArray, _Axes]:
     bend = _bend(mean, (c * u + s * v, c * v - s * u), readings, (rounding, wide), usual)
     unlike = 0.5 * (np.maximum(bend.left, 0.0) + wide) / rounding
     # Beyond three sigma it is none; exp would overflow.
-    fits = unlike < 4.5
-    of_mean = np.exp(np.minimum(unlike, 4.5)) * rounding / count
+    fits = unlike < 0.5 * 3**2
+    of_mean = np.exp(np.where(fits, unlike, 0.0)) * rounding / count
     bearings[lines[fits]] = angle[fits]
     fork = lines // (len(forks.ring) // len(forks.xy))
     middle += forks.xy[fork]
