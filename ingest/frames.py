@@ -20,8 +20,9 @@ from .logs.topics import TRANSFORM_KINDS
 
 Pair = tuple[str, str]
 
-NOWHERE_ELSE = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+NOWHERE_ELSE = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 """The identity transform."""
+NOWHERE_ELSE.flags.writeable = False
 
 FIXED = 1e-3
 """A transform is fixed if no translation [m] or quaternion component changes by more than this, to
@@ -49,7 +50,7 @@ class FixedTransforms:
         for (parent, child), T_parent_child in sorted(self.value.items()):
             beside.setdefault(parent, []).append((child, T_parent_child))
             beside.setdefault(child, []).append((parent, _inverse(T_parent_child)))
-        reached = {target: np.array(NOWHERE_ELSE)}
+        reached = {target: NOWHERE_ELSE}
         front = deque([target])
         while front:
             here = front.popleft()

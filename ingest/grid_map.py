@@ -9,7 +9,7 @@ from dataclasses import asdict
 import numpy as np
 from scipy.ndimage import binary_dilation, label
 
-from ..topology.arrays import BoolArray, FloatArray, IntArray
+from ..topology.arrays import FloatArray, IntArray
 from ..topology.connected import connected
 from ..topology.errors import DataError
 from ..topology.polyline import densely
@@ -215,23 +215,16 @@ def _length_sigma(length_m: FloatArray) -> FloatArray:
 
 def _cropped(grid: Grid) -> Grid:
     """The grid without the rows and columns around its free space, but one on every side."""
-    rows, columns = (_span(np.asarray(grid.free.any(axis=axis))) for axis in (1, 0))
-    if rows.stop == 0:
+    rows, columns = (np.flatnonzero(grid.free.any(axis=axis)) for axis in (1, 0))
+    if not len(rows):
         return grid._replace(free=grid.free[:1, :1], unknown=grid.unknown[:1, :1])
-    corner = grid.resolution_m * np.array([columns.start - 1.0, rows.start - 1.0, 0.0])
+    corner = grid.resolution_m * np.array([columns[0] - 1.0, rows[0] - 1.0, 0.0])
     x, y, yaw = compose(np.array(grid.origin), corner).tolist()
     # Beyond the grid nothing is known.
-    within = np.s_[rows.start : rows.stop + 2, columns.start : columns.stop + 2]
+    within = np.s_[rows[0] : rows[-1] + 3, columns[0] : columns[-1] + 3]
     free = np.pad(grid.free, 1)[within]
     unknown = np.pad(grid.unknown, 1, constant_values=True)[within]
     return grid._replace(free=free, unknown=unknown, origin=(x, y, yaw))
-
-
-def _span(mask: BoolArray) -> slice:
-    """From the first to the last marked element; empty if there are none."""
-    if not mask.any():
-        return slice(0, 0)
-    return slice(int(mask.argmax()), len(mask) - int(mask[::-1].argmax()))
 
 
 def _largest(

@@ -15,7 +15,7 @@ from .logs.lasers import RawScans
 from .logs.poses import Poses
 from .logs.topics import JUNCTIONS, Choice
 from .mounting import KnownMounting, known_mounting
-from .scans.detection import SECTORS
+from .scans.detection import sectors
 from .scans.stream import Mounting, ScanStream
 from .survey import LogRead
 from .topic_poses import TopicPoses
@@ -27,7 +27,7 @@ directions and add none; two are left for the rounding of both ends."""
 FIRST_SCANS = 50
 """Number of scans read to find out their frames and clock."""
 
-ANYWHERE = Mounting(otherwise=lambda _: np.array(NOWHERE_ELSE))
+ANYWHERE = Mounting(otherwise=lambda _: NOWHERE_ELSE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,7 +182,4 @@ def directions(scans: RawScans) -> BoolArray:
         angles = geometry.angle_min + geometry.angle_increment * np.arange(beams) + geometry.pose[2]
     if scans.blind:
         angles = angles[np.isfinite(scans.ranges_m).any(axis=0)]
-    out = np.zeros(SECTORS, np.bool_)
-    angles = angles[np.abs(angles) < 1e6]  # others are no angles
-    out[np.floor(angles / (2 * np.pi) * SECTORS).astype(np.int64) % SECTORS] = True
-    return out
+    return sectors(angles[np.abs(angles) < 1e6])  # others are no angles

@@ -39,7 +39,7 @@ from .odometry.bridging import bridged, confirmed, describe_splits, jump_records
 from .odometry.calibration import Calibration, apply_calibration
 from .odometry.motion_errors import describe_scale, motion_errors, refine_scale
 from .odometry.noise import refine_noise
-from .pass_source import USUAL, PassSource
+from .pass_source import PassSource
 
 CALIBRATION_DOUBT = 1.5
 """Factor on the calibration's own sigma, which assumes straight corridors."""
@@ -194,11 +194,8 @@ def _require_motion(run: Run) -> None:
 def _systematic(calibration: Calibration) -> SystematicErrors:
     """Constant errors left by the calibration: its sigma, and what it did not apply."""
     left = np.hypot(calibration.sigma, np.subtract(calibration.estimate, calibration.applied))
-    left = CALIBRATION_DOUBT * left
-    return SystematicErrors(
-        turn_rad_per_m=float(left[0]) if np.isfinite(left[0]) else USUAL.turn_rad_per_m,
-        turn_rad_per_rad=float(left[1]) if np.isfinite(left[1]) else USUAL.turn_rad_per_rad,
-    )
+    per_m, per_rad, _ = (CALIBRATION_DOUBT * left).tolist()
+    return SystematicErrors(turn_rad_per_m=per_m, turn_rad_per_rad=per_rad)
 
 
 def _close_loops(
@@ -244,7 +241,7 @@ def _measure_hidden_errors(
     scale = refine_scale(odometry, _usable_detections(run), passes, noise, too_long=too_long)
     noise = replace(noise, scale=significant(scale))
     alike = None if source.shared_m is None else seen_alike(source.shared_m, noise)
-    if alike is not None and len(alike):
+    if alike is not None:
         noise = replace(noise, shared_centre_m=significant(float(np.median(alike))))
     return replace(fitted, noise=noise), alike
 
@@ -344,7 +341,7 @@ def _info(
             name: {
                 "applied": calibration.applied[k],
                 "estimate": calibration.estimate[k],
-                "sigma": calibration.sigma[k] if np.isfinite(calibration.sigma[k]) else None,
+                "sigma": calibration.sigma[k],
             }
             for k, name in enumerate(("bias_rad_per_m", "turn_scale", "lag_s"))
         }

@@ -16,7 +16,6 @@ from .scans.stream import Mounting
 
 BODIES = ("base_link", "base_footprint", "base")
 """Usual names of the robot's frame, for logs without odometry, which would name it."""
-AHEAD = np.array(NOWHERE_ELSE)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,7 +44,7 @@ def known_mounting(
     again only if a frame is none of these.
     """
     bodies = (body,) if body is not None else BODIES
-    known = dict.fromkeys(("", *bodies), np.array(NOWHERE_ELSE))
+    known = dict.fromkeys(("", *bodies), NOWHERE_ELSE)
     foreign = set(frames) - set(known)
     if not foreign:
         return KnownMounting(known, bodies[0])
@@ -80,7 +79,7 @@ def mounting(
             f"{unknown}, and there is no odometry to tell: if it is upside down, the map is a "
             f"mirror image ({where.fixed})"
         ]
-    yaws = {name: yaw_of(name) for name in lost if np.array_equal(mount_of_camera(name), AHEAD)}
+    yaws = {name: yaw_of(name) for name in lost if mount_of_camera(name) is NOWHERE_ELSE}
     facing = {name: yaw for name, yaw in yaws.items() if yaw is not None}
     turned = {name: planar(0.0, 0.0, yaw) for name, yaw in facing.items()}
     looks = "".join(f"; {name!r} looks {_looking(yaw)}" for name, yaw in facing.items())

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy import ndimage
 
 from ..topology.arrays import BoolArray, FloatArray, IntArray
 from ..topology.circular import cluster_angles
+from ..topology.columns import take
 from ..topology.odometry import Odometry
-from ..topology.passes import Passes, nearest_branch
+from ..topology.passes import ONE_WAY_RAD, Passes, nearest_branch
 from ..topology.ragged import Ragged
 from ..topology.run import Detections, ScanPasses
 from ..topology.se2 import apply, wrap
@@ -27,8 +29,7 @@ class PassSettings:
     """Distance driven in a silence that ends a pass."""
     jump_m: float = 0.8
     """A detection with its centre farther than this from the previous one begins a new pass."""
-    cluster_gap_rad: float = 0.3
-    """Branch readings farther apart than this belong to different branches."""
+
     least_support: float = 0.5
     """Share of a pass's messages that must report a branch."""
     least_messages_share: float = 0.12
@@ -52,22 +53,29 @@ def fuse_passes(odometry: Odometry, detections: Detections) -> Passes:
         & (detections.branches.counts > 0)
         & ~_within_break(odometry, detections.time_ns)
     )
-    rows = np.flatnonzero(usable)
-    if len(rows) == 0:
+    if not usable.any():
         return no_passes()
-    time_ns = detections.time_ns[rows]
-    pose = odometry.at(time_ns)
-    centre = apply(pose, detections.centre[rows])
-    group = _group(odometry, time_ns, centre)
-    keep, group = _without_flicker(group)
-    rows, time_ns, pose, centre = rows[keep], time_ns[keep], pose[keep], centre[keep]
-    return _fuse(
+    seen = take(detections, usable)
+    centre = apply(odometry.at(seen.time_ns), seen.centre)
+    keep, group = _without_flicker(_group(odometry, seen.time_ns, centre))
+    seen, centre = take(seen, keep), centre[keep]
+    time_ns, pose = seen.time_ns, odometry.at(seen.time_ns)
+    counts = np.bincount(group)
+    offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+    fused = _middle(centre, group, len(counts))
+    # When nearest: the first row of each group in the order of distance.
+    distance = np.hypot(*(pose[:, :2] - fused[group]).T)
+    owner = seen.branches.owner
+    heading = seen.branches.values + pose[owner, 2]
+    return _with_ways(
         odometry,
-        detections.branches.take(rows),
-        time_ns=time_ns,
-        pose=pose,
-        centre=centre,
-        group=group,
+        time_ns=time_ns[np.lexsort((distance, group))[offsets[:-1]]],
+        start_ns=time_ns[offsets[:-1]],
+        end_ns=time_ns[offsets[1:] - 1],
+        centre=fused,
+        branches=_cluster_branches(heading, owner, group[owner], counts),
+        messages=counts,
+        confidence=np.ones(len(counts)),
     )
 
 
@@ -76,21 +84,28 @@ def scanned_passes(odometry: Odometry, seen: ScanPasses) -> Passes:
     if len(odometry) == 0 or len(seen) == 0:
         return no_passes()
     pose = odometry.at(seen.time_ns)
-    centre = apply(pose, seen.centre)
     owner = seen.branches.owner
     heading = np.asarray(wrap(seen.branches.values + pose[owner, 2]))
-    branches = Ragged(seen.branches.offsets, heading[np.lexsort((heading, owner))])
-    track = track_directions(odometry, seen.time_ns, centre)
-    return Passes(
+    return _with_ways(
+        odometry,
         time_ns=seen.time_ns,
         start_ns=seen.start_ns,
         end_ns=seen.end_ns,
-        centre=centre,
-        branches=branches,
-        entry=nearest_branch(branches, track.arriving),
-        exit=nearest_branch(branches, track.leaving),
+        centre=apply(pose, seen.centre),
+        branches=Ragged(seen.branches.offsets, heading[np.lexsort((heading, owner))]),
         messages=seen.windows,
         confidence=seen.confidence,
+    )
+
+
+def _with_ways(
+    odometry: Odometry, *, time_ns: IntArray, centre: FloatArray, branches: Ragged, **columns: Any
+) -> Passes:
+    """Passes with the branches by which the robot came and went; columns: the rest of `Passes`."""
+    track = track_directions(odometry, time_ns, centre)
+    entry, leaving = (nearest_branch(branches, way) for way in (track.arriving, track.leaving))
+    return Passes(
+        time_ns=time_ns, centre=centre, branches=branches, entry=entry, exit=leaving, **columns
     )
 
 
@@ -142,37 +157,6 @@ def _middle(xy: FloatArray, group: IntArray, groups: int) -> FloatArray:
     return np.column_stack([np.bincount(group, weight * xy[:, k]) / total for k in (0, 1)])
 
 
-def _fuse(
-    odometry: Odometry,
-    seen: Ragged,
-    *,
-    time_ns: IntArray,
-    pose: FloatArray,
-    centre: FloatArray,
-    group: IntArray,
-) -> Passes:
-    counts = np.bincount(group)
-    offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
-    fused = _middle(centre, group, len(counts))
-    # When nearest: the first row of each group in the order of distance.
-    distance = np.hypot(*(pose[:, :2] - fused[group]).T)
-    nearest = time_ns[np.lexsort((distance, group))[offsets[:-1]]]
-    owner = seen.owner
-    branches = _cluster_branches(seen.values + pose[owner, 2], owner, group[owner], counts)
-    track = track_directions(odometry, nearest, fused)
-    return Passes(
-        time_ns=nearest,
-        start_ns=time_ns[offsets[:-1]],
-        end_ns=time_ns[offsets[1:] - 1],
-        centre=fused,
-        branches=branches,
-        entry=nearest_branch(branches, track.arriving),
-        exit=nearest_branch(branches, track.leaving),
-        messages=counts,
-        confidence=np.ones(len(counts)),
-    )
-
-
 def _cluster_branches(
     heading: FloatArray, message: IntArray, group: IntArray, messages: IntArray
 ) -> Ragged:
@@ -180,7 +164,7 @@ def _cluster_branches(
 
     A branch counts if enough of the messages report it; the most frequent one always does.
     """
-    clusters = cluster_angles(heading, group, PASSES.cluster_gap_rad)
+    clusters = cluster_angles(heading, group, ONE_WAY_RAD)
     share = clusters.votes(message) / messages[clusters.owner]
     keep = clusters.well_seen(share, PASSES.least_support)
     return Ragged.by_owner(clusters.owner[keep], clusters.mean[keep], len(messages))

@@ -70,7 +70,7 @@ def kept(
     accept = acceptance(counts, settings, log)
     try_mapping(recording, counts, settings)
     recording.passes.clear()
-    intake = Intake(accept, decoders(settings, log), kept_whole(settings))
+    intake = _intake(accept, settings, log)
     return intake, walk(recording, intake, progress)
 
 
@@ -125,12 +125,14 @@ def decoders(settings: ReadSettings, log: str) -> Callable[[Channel], PoseDecode
     return by_topic
 
 
-def kept_whole(settings: ReadSettings) -> Callable[[Channel], bool]:
-    """Channels of detections, kept in three dimensions: their sensor's mounting is only known in
-    the end."""
-    return lambda channel: (
-        channel.topic == settings.mapped_topic or channel.type_name in JUNCTION_KINDS
-    )
+def _intake(accept: Callable[[Channel], bool], settings: ReadSettings, log: str) -> Intake:
+    """An intake of the accepted channels."""
+
+    def kept_whole(channel: Channel) -> bool:
+        # Detections, in three dimensions: their sensor's mounting is only known in the end.
+        return channel.topic == settings.mapped_topic or channel.type_name in JUNCTION_KINDS
+
+    return Intake(accept, decoders(settings, log), kept_whole)
 
 
 def try_mapping(
@@ -145,9 +147,7 @@ def try_mapping(
     if settings.mapped_topic is None or (known is not None and settings.mapped_topic not in known):
         return
     topic, log = settings.mapped_topic, str(recording.path)
-    intake = Intake(
-        lambda channel: channel.topic == topic, decoders(settings, log), kept_whole(settings)
-    )
+    intake = _intake(lambda channel: channel.topic == topic, settings, log)
     found = TopicPoses.of(())
     for block in recording.blocks(intake.want):
         intake.take(block.rows(slice(TRIED)))

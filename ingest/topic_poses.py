@@ -19,6 +19,18 @@ from .odometry.track import backward_jumps
 
 Clock = Literal["header", "log"]
 
+MOST_LAG_S = 10.0
+"""Largest lag that is looked for between two clocks: robots turn again, or are at another junction,
+by then."""
+LAG_STEP_S = 0.25
+"""Step of the search: rotations of robots last longer."""
+LEFT = 0.67
+"""Largest share of the differences (root mean square) that may remain by the right lag, or the
+right reading: half and less remains where scans of two buildings are stamped late by 0.15 s and
+more, and all of it where they are of another drive."""
+SAME_SHARE = 0.8
+"""Least share of the steps, or of the drive-bys, that are for it."""
+
 
 @dataclass(slots=True)
 class TopicPoses:

@@ -17,29 +17,22 @@ from ...topology.odometry import Odometry
 from ...topology.run import Detections
 from ...topology.se2 import apply, wrap
 from ..logs.fields import LENGTHS
+from ..topic_poses import LAG_STEP_S, LEFT, MOST_LAG_S, SAME_SHARE
 from .calibration import CALIBRATION
 from .stationary import AS_READ, DriveBys, Fit, Reading
 
 
 @dataclass(frozen=True, slots=True)
 class ConventionSettings:
-    """Which lags are tried, and when a reading is reported."""
+    """When a reading is reported. A drive-by votes if one reading leaves at most `LEFT` of the
+    other's residual (root mean square)."""
 
-    most_lag_s: float = 10.0
-    """Largest lag considered: robots are at another junction by then."""
-    lag_step_s: float = 0.25
-    """Step of the search for a lag: rotations of robots last longer."""
-    left: float = 0.67
-    """A drive-by votes if one reading leaves at most this share of the other's residual (root mean
-    square): as for scans that may be late (`scans/turns.py`)."""
     half: float = 0.5
     """If it leaves at most this share, the vote counts as one that chance gives more rarely."""
     half_chance: float = 0.05
     """Bound on the probability that a wrong reading gets such a vote, where either does: none of
     230,000 in 90 simulated logs. Short logs decide by such votes: five suffice."""
-    share: float = 0.8
-    """Least share of the votes for a reading that is reported: as for scans that may be mirror
-    images (`scans/turns.py`)."""
+
     false_rate: float = 1e-3
     """Bound on the probability that chance lets any reading of a log win the sign test."""
 
@@ -84,8 +77,8 @@ HEADINGS = {
 1 is expected."""
 AXES = tuple(Reading(mirrored, yaw) for mirrored in (False, True) for yaw in (1.0, *YAW))
 LAGS = tuple(
-    Reading(lag_s=sign * CONVENTIONS.lag_step_s * (k + 1))
-    for k in range(round(CONVENTIONS.most_lag_s / CONVENTIONS.lag_step_s))
+    Reading(lag_s=sign * LAG_STEP_S * (k + 1))
+    for k in range(round(MOST_LAG_S / LAG_STEP_S))
     for sign in (1, -1)
 )
 POSES = (*AXES[1 : len(YAW) + 1], *LAGS)
@@ -189,7 +182,7 @@ def _size(squares: FloatArray) -> float:
 def _wins(squares: FloatArray, others: FloatArray) -> bool:
     """Whether `squares` are far smaller than `others` in significantly many drive-bys (sign test).
     Both: (k,) sum of squared residuals of each drive-by."""
-    kinds = (CONVENTIONS.left, 0.5), (CONVENTIONS.half, CONVENTIONS.half_chance)
+    kinds = (LEFT, 0.5), (CONVENTIONS.half, CONVENTIONS.half_chance)
     return any(
         _significant(
             int(np.sum(squares < left**2 * others)), int(np.sum(others < left**2 * squares)), chance
@@ -204,7 +197,7 @@ def _significant(votes: int, against: int, chance: float) -> bool:
     from scipy.special import bdtrc  # which takes a third of a second to load
 
     decided = votes + against
-    if votes == 0 or votes < CONVENTIONS.share * decided:
+    if votes == 0 or votes < SAME_SHARE * decided:
         return False
     return float(bdtrc(votes - 1, decided, chance)) * TESTS <= CONVENTIONS.false_rate
 
@@ -226,7 +219,7 @@ def _pose_findings(reading: Reading, odometry_topic: str) -> Iterator[str]:
     if abs(reading.lag_s) > LEAST_LAG_S:
         late = "late" if reading.lag_s > 0 else "early"
         yield (
-            f"they are stamped {abs(reading.lag_s):g} s (± {CONVENTIONS.lag_step_s:g} s) {late} "
+            f"they are stamped {abs(reading.lag_s):g} s (± {LAG_STEP_S:g} s) {late} "
             f"beside {odometry_topic}: --time log, or stamp= of --junction-fields, may lead to "
             "better times"
         )

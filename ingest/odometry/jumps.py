@@ -16,7 +16,6 @@ from ...topology.arrays import BoolArray, FloatArray, IntArray
 from ...topology.odometry import Odometry
 from ...topology.se2 import between, compose, inverse, wrap
 
-SECOND_S = 1e-9
 MOST_LISTED = 5
 """Number of jumps that are listed one by one."""
 BESIDE = np.array([-2, -1, 1, 2])
@@ -58,8 +57,7 @@ class _Usual:
     rate: float
 
     @classmethod
-    def of(cls, time_ns: IntArray, pose: FloatArray) -> _Usual:
-        duration = np.diff(time_ns) * SECOND_S
+    def of(cls, duration: FloatArray, pose: FloatArray) -> _Usual:
         way, turn = np.hypot(*np.diff(pose[:, :2], axis=0).T), np.abs(wrap(np.diff(pose[:, 2])))
         period = float(np.median(duration))
         # Bursts of messages must not count as high speed.
@@ -87,13 +85,14 @@ def spikes(time_ns: IntArray, pose: FloatArray) -> BoolArray:
     rows = _large(pose, JUMPS.least_m / JUMPS.factor, JUMPS.least_rad / JUMPS.factor)
     if len(rows) == 0:
         return found
-    usual = _Usual.of(time_ns, pose)
-    way, turn = _excess(time_ns, pose, rows, usual)
+    duration = np.diff(time_ns) * 1e-9
+    usual = _Usual.of(duration, pose)
+    way, turn = _excess(duration, pose, rows, usual)
     driven = float(np.hypot(np.diff(pose[:, 0]), np.diff(pose[:, 1])).sum())
     often = 1 + int(driven / JUMPS.usual_way_m)
     out = way > max(JUMPS.least_m, JUMPS.factor * _at_rank(way, often))
     turned_rad = np.abs(wrap(pose[rows + 1, 2] - pose[rows, 2]))
-    fast = turned_rad > JUMPS.margin * usual.rate * (time_ns[rows + 1] - time_ns[rows]) * SECOND_S
+    fast = turned_rad > JUMPS.margin * usual.rate * duration[rows]
     out |= fast & (turn > max(JUMPS.least_rad, JUMPS.factor * _at_rank(turn, often)))
     found[rows[out]] = True
     return found
@@ -111,9 +110,9 @@ def _large(pose: FloatArray, least_m: float, least_rad: float) -> IntArray:
     # Seen from the robot, a step is turned by what the one before it turned.
     off_m = np.abs(np.diff(x)) + np.abs(np.diff(y)) + far[:-1] * np.abs(turn[:-1])
     off_rad = np.abs(wrap(np.diff(turn)))
-    large = np.minimum(np.minimum(off_m[:-1], off_m[1:]), far[1:-1]) > 0.99 * least_m
+    large = np.minimum(np.minimum(off_m[:-1], off_m[1:]), far[1:-1]) > least_m
     off_rad = np.minimum(np.minimum(off_rad[:-1], off_rad[1:]), np.abs(turn[1:-1]))
-    return 1 + np.flatnonzero(large | (off_rad > 0.99 * least_rad))
+    return 1 + np.flatnonzero(large | (off_rad > least_rad))
 
 
 def _at_rank(values: FloatArray, rank: int) -> float:
@@ -129,7 +128,7 @@ def _moved(pose: FloatArray, rows: IntArray) -> FloatArray:
 
 
 def _excess(
-    time_ns: IntArray, pose: FloatArray, rows: IntArray, usual: _Usual
+    duration: FloatArray, pose: FloatArray, rows: IntArray, usual: _Usual
 ) -> tuple[FloatArray, FloatArray]:
     """(k,) each: distance [m] and angle [rad] by which the steps that begin at rows leave the range
     of their neighbours.
@@ -140,9 +139,8 @@ def _excess(
     """
     beside = np.clip(rows[:, None] + BESIDE, 0, len(pose) - 2)
     moved, around = _moved(pose, rows), _moved(pose, beside.ravel()).reshape(*beside.shape, 3)
-    own = (time_ns[rows + 1] - time_ns[rows]) * SECOND_S
-    theirs = (time_ns[beside + 1] - time_ns[beside]) * SECOND_S
-    per_second = (own[:, None] / np.maximum(theirs, 0.5 * usual.period))[:, :, None]
+    own = duration[rows]
+    per_second = (own[:, None] / np.maximum(duration[beside], 0.5 * usual.period))[:, :, None]
     span = np.concatenate([around, around * per_second], axis=1)
     spare = np.maximum(own - usual.period, 0.0)
     spare = spare[:, None] * np.array([usual.speed, usual.speed, usual.rate])
@@ -166,9 +164,9 @@ def without_jumps(
         return odometry, []
     time_ns, pose = odometry.time_ns, odometry.pose
     begin = np.flatnonzero(leaps)
-    usual = _Usual.of(time_ns, pose)
-    duration = (time_ns[begin + 1] - time_ns[begin]) * SECOND_S
-    moved, step = _moved(pose, begin), _expected(time_ns, pose, leaps, begin, usual)
+    steps_s = np.diff(time_ns) * 1e-9
+    usual, duration = _Usual.of(steps_s, pose), steps_s[begin]
+    moved, step = _moved(pose, begin), _expected(steps_s, pose, leaps, usual)
     off = moved - step
     way, turn = np.hypot(off[:, 0], off[:, 1]), np.abs(wrap(off[:, 2]))
     driven = float(np.hypot(*np.diff(pose[:, :2], axis=0).T)[~leaps].sum())
@@ -187,7 +185,7 @@ def without_jumps(
         jump_sigma=sigma[known],
         jump_other=moved[known],
     )
-    at_s = (time_ns[begin + 1] - time_ns[0]) * SECOND_S
+    at_s = (time_ns[begin + 1] - time_ns[0]) * 1e-9
     sizes = [
         f"{metres:.2f} m and {np.degrees(rad):.0f} degrees at {second:.1f} s"
         for metres, rad, second in zip(way, turn, at_s, strict=True)
@@ -215,20 +213,20 @@ def _near(
 
 
 def _expected(
-    time_ns: IntArray, pose: FloatArray, leaps: BoolArray, rows: IntArray, usual: _Usual
+    duration: FloatArray, pose: FloatArray, leaps: BoolArray, usual: _Usual
 ) -> FloatArray:
-    """(k, 3) motion [m, m, rad] of the steps that begin at rows, at the mean speed of the nearest
-    regular steps before and after. A gap counts as at most two usual periods."""
-    good = np.flatnonzero(~leaps)
+    """(k, 3) motion [m, m, rad] of the leaps, at the mean speed of the nearest regular steps before
+    and after. A gap counts as at most two usual periods."""
+    good, rows = np.flatnonzero(~leaps), np.flatnonzero(leaps)
     if len(good) == 0:
         return np.zeros((len(rows), 3))
     after = np.searchsorted(good, rows)
     sides = good[np.clip(np.stack([after - 1, after]), 0, len(good) - 1)]
-    own = np.minimum((time_ns[rows + 1] - time_ns[rows]) * SECOND_S, 2 * usual.period)
+    own = np.minimum(duration[rows], 2 * usual.period)
     out = np.zeros((len(rows), 3))
     for side in sides:
-        theirs = (time_ns[side + 1] - time_ns[side]) * SECOND_S
-        out += 0.5 * _moved(pose, side) * (own / np.maximum(theirs, 0.5 * usual.period))[:, None]
+        share = own / np.maximum(duration[side], 0.5 * usual.period)
+        out += 0.5 * _moved(pose, side) * share[:, None]
     return out
 
 

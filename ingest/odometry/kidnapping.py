@@ -12,23 +12,16 @@ from ...topology.run import Detections
 
 @dataclass(frozen=True, slots=True)
 class CarriedSettings:
-    """What counts as standing, and as another place.
+    """What counts as standing, and as another place."""
 
-    Wheels that move by at most standing_m, standing_rad stand: encoders resolve less, and slip
-    causes more. At least `sightings` detections on both sides must agree among themselves to
-    agree_m, five times the usual noise of a detector, and differ by three times that or more from
-    the other side: a single wrong detection does not count.
-    """
-
-    standing_m: float = 0.02
-    standing_rad: float = 0.02
+    standing: float = 0.02
+    """Wheels that move by at most this [m, rad] stand: encoders resolve less, slip causes more."""
     sightings: int = 4
+    """At least so many detections on both sides must agree: one that is wrong does not count."""
     agree_m: float = 0.5
-
-    @property
-    def apart_m(self) -> float:
-        """Least distance between what both sides show [m]."""
-        return 3.0 * self.agree_m
+    """To agree among themselves, five times the usual noise of a detector."""
+    apart_m: float = 1.5
+    """Least distance between what both sides show."""
 
 
 CARRIED = CarriedSettings()
@@ -46,8 +39,8 @@ def split_where_carried(odometry: Odometry, detections: Detections) -> tuple[Odo
     row = np.clip(np.searchsorted(odometry.time_ns, detections.time_ns), 0, len(odometry) - 1)
     way, turn = np.cumsum(odometry.step_m)[row], np.cumsum(np.abs(odometry.turn_rad))[row]
     first, last = i + 1 - side, i + side
-    stands = way[last] - way[first] <= CARRIED.standing_m
-    i = i[stands & (turn[last] - turn[first] <= CARRIED.standing_rad)]
+    stands = way[last] - way[first] <= CARRIED.standing
+    i = i[stands & (turn[last] - turn[first] <= CARRIED.standing)]
     sides = centre[i[:, None] + 1 + np.arange(-side, side)].reshape(-1, 2, side, 2)
     middle = np.median(sides, axis=2)
     spread = np.hypot(*np.moveaxis(sides - middle[:, :, None], -1, 0)).max(axis=(1, 2))

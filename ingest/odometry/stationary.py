@@ -187,13 +187,13 @@ class DriveBys:
         row = self.first[drive_by[entry]] + nth
         seen = self.branches.counts[row] > 0
         entry, row = entry[seen], row[seen]
-        of, local = numbered(self.branches.counts[row])
-        heading = self.branches.values[self.branches.offsets[row][of] + local]
-        off = wrap(heading + self._poses(AS_READ)[1][row[of]] - way[entry[of]])
+        beside = self.branches.take(row)
+        of = beside.owner
+        off = wrap(beside.values + self._poses(AS_READ)[1][row[of]] - way[entry[of]])
         if len(off) == 0:
             return np.zeros((len(turns_rad), len(self)))
         away = np.abs(wrap(off + turns_rad[:, None]))
-        nearest = np.minimum.reduceat(away, np.flatnonzero(local == 0), axis=1)
+        nearest = np.minimum.reduceat(away, beside.offsets[:-1], axis=1)
         squares = np.minimum(nearest, LIKELIHOOD.branch_gate_rad) ** 2
         return np.array([np.bincount(drive_by[entry], s, len(self)) for s in squares])
 
@@ -282,15 +282,14 @@ def _median_ratio(over: ComplexArray, under: FloatArray) -> complex:
 class _Pairs:
     """Readings of branches beside all those of a later detection of the same drive-by.
 
-    row, later: (q,) rows of the two detections of a reading; turn: (c,) differences of headings to
-    the later ones [rad]; of: (c,) reading of each; first: (q,) first difference of each reading.
+    row, later: (q,) rows of the two detections of a reading; turns: q rows of differences of
+    headings to the later ones [rad]; of: (c,) reading of each difference.
     """
 
     row: IntArray
     later: IntArray
-    turn: FloatArray
+    turns: Ragged
     of: IntArray
-    first: IntArray
 
     @classmethod
     def of_branches(cls, at: FloatArray, owner: IntArray, branches: Ragged) -> _Pairs:
@@ -302,16 +301,16 @@ class _Pairs:
         paired = (row_later > row) & (branches.counts[row_later] > 0)
         reading = np.flatnonzero(paired)
         row, row_later = row[reading], row_later[reading]
-        of, local = numbered(branches.counts[row_later])
-        other = branches.values[branches.offsets[row_later][of] + local]
-        return cls(
-            row, row_later, other - branches.values[reading[of]], of, np.flatnonzero(local == 0)
-        )
+        beside = branches.take(row_later)
+        turn = beside.values - branches.values[reading[beside.owner]]
+        return cls(row, row_later, Ragged(beside.offsets, turn), beside.owner)
 
     def changes(self, heading: FloatArray) -> FloatArray:
         """(q,) change of the nearest heading [rad] if the robot's are (n,), clipped."""
         if len(self.row) == 0:
             return np.zeros(0)
         turned = (heading[self.later] - heading[self.row])[self.of]
-        change = np.abs(wrap(self.turn + turned))
-        return np.minimum(np.minimum.reduceat(change, self.first), LIKELIHOOD.branch_gate_rad)
+        change = np.minimum.reduceat(
+            np.abs(wrap(self.turns.values + turned)), self.turns.offsets[:-1]
+        )
+        return np.minimum(change, LIKELIHOOD.branch_gate_rad)

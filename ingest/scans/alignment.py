@@ -19,6 +19,7 @@ from ...topology.arrays import BoolArray, FloatArray, IntArray
 from ...topology.se2 import between, wrap
 from .association import Gate, Swept, pair_terms
 from .scatter import STRETCH, Aligned, odometry_scores, wall_scores
+from .surfaces import MOST_POINTS
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,10 +108,6 @@ class PairMotion:
     fit: FloatArray
     searched: BoolArray
     loose_m: FloatArray
-
-
-MOST_POINTS = 1 << 18
-"""Points matched at once, 100 bytes each."""
 
 
 def match_steps(

@@ -9,11 +9,11 @@ measured farther out, if the branches are corridors.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import expit, logit
+from scipy.special import expit
 
 from ...topology.arrays import BoolArray, FloatArray, IntArray
 from ...topology.se2 import wrap
@@ -46,46 +46,14 @@ ROUGH_M = GridSettings().cell_m
 """Lower bound of the rounding error of walls: they are no smoother in finer grids."""
 
 
-SHARES = (np.arange(20) + 0.5) / 20
-"""Possible shares of a run's axes that bend, with equal prior probabilities."""
-
-
-@dataclass(slots=True)
-class BendTally:
-    """Posterior of the share of a run's axes that bend. weight: of an axis; log: (20,) log
-    likelihood [nats] of each of the `SHARES`; axes too short to decide leave it unchanged."""
-
-    weight: float = 1.0
-    log: FloatArray = field(default_factory=lambda: np.zeros(len(SHARES)))
-
-    @property
-    def usual(self) -> float:
-        """Prior probability that an axis bends: the posterior mean of the share."""
-        likelihood = np.exp(self.log - self.log.max())
-        return float((likelihood * SHARES).sum() / likelihood.sum())
-
-    def add(self, odds: FloatArray) -> None:
-        """Add axes with log odds (k,) [nats] that each bends, by its own cells alone."""
-        bent = np.logaddexp(np.log1p(-SHARES), np.log(SHARES) + odds[:, None])
-        self.log += self.weight * bent.sum(axis=0)
-
-
-def placed(
-    graph: SkeletonGraph, nodes: Sequence[Node], tally: BendTally | None = None
-) -> list[Node]:
-    """Nodes of a graph, each moved to where the axes of its branches cross.
-
-    tally: share of this run's axes that bend, as known so far; it is updated in place. None: a new
-    one. Vectorised over the nodes of one degree.
-    """
-    tally = BendTally() if tally is None else tally
-    usual, out = tally.usual, list(nodes)
-    degrees = np.array([len(node.ends) for node in nodes])
+def placed(graph: SkeletonGraph, nodes: Sequence[Node]) -> list[Node]:
+    """Nodes of a graph, each moved to where the axes of its branches cross. Vectorised over the
+    nodes of one degree."""
+    out, degrees = list(nodes), np.array([len(node.ends) for node in nodes])
     for degree in np.unique(degrees).tolist():
         alike = np.flatnonzero(degrees == degree).tolist()
         forks = _Forks.of(graph, [nodes[k] for k in alike])
-        bearings, axes = _axes(forks, usual)
-        tally.add(axes.bend.odds)
+        bearings, axes = _axes(forks)
         for k, xy, sigma_m in zip(alike, *_centres(forks, bearings, axes), strict=True):
             out[k] = replace(nodes[k], xy=xy, sigma_m=sigma_m)
     return out
@@ -126,17 +94,14 @@ class Crossings(NamedTuple):
 
 
 def crossings(
-    graph: SkeletonGraph,
-    numbers: Sequence[int],
-    settings: SkeletonSettings,
-    tally: BendTally | None = None,
+    graph: SkeletonGraph, numbers: Sequence[int], settings: SkeletonSettings
 ) -> Crossings:
-    """Nodes `numbers` of a graph, placed; tally: see `placed`. Two ends of one edge whose
-    axes cross at one point are merged: a skeleton may show a crossing of many branches as two forks
-    farther apart than `join_m`, whose centres are nearer."""
+    """Nodes `numbers` of a graph, placed. Two ends of one edge whose axes cross at one point are
+    merged: a skeleton may show a crossing of many branches as two forks farther apart than
+    `join_m`, whose centres are nearer."""
     found = {k: graph.nodes[k] for k in numbers}
     narrow = [k for k, node in found.items() if node.clearance_m <= settings.axes_m]
-    found |= zip(narrow, placed(graph, [found[k] for k in narrow], tally), strict=True)
+    found |= zip(narrow, placed(graph, [found[k] for k in narrow]), strict=True)
     joints: dict[int, tuple[int, int]] = {}
     for way, edge in enumerate(graph.edges):
         a, b = edge.nodes
@@ -148,7 +113,7 @@ def crossings(
             continue
         ends = tuple(k for k in (*one.ends, *other.ends) if k != way)
         amid = Node(0.5 * (one.xy + other.xy), max(one.clearance_m, other.clearance_m), ends)
-        (found[a],) = placed(graph, [amid], tally)
+        (found[a],) = placed(graph, [amid])
         del found[b]
         joints[way] = b, a
     return Crossings(found, joints)
@@ -175,17 +140,13 @@ def with_crossings(graph: SkeletonGraph, settings: SkeletonSettings) -> Skeleton
 
 class _Bend(NamedTuple):
     """Bends of axes (a,): at s [m] along one from its middle, it deviates by bent (s² - spread -
-    skew s), with the variance `variance` of `bent`.
-
-    odds: log odds [nats] that it bends, by its cells alone; left: mean squared residual of its
-    cells [m²].
+    skew s), with the variance `variance` of `bent`; left: mean squared residual of its cells [m²].
     """
 
     spread: FloatArray
     skew: FloatArray
     bent: FloatArray
     variance: FloatArray
-    odds: FloatArray
     left: FloatArray
 
 
@@ -253,13 +214,10 @@ def _begins(forks: _Forks) -> FloatArray:
     return np.asarray(clearance * np.maximum(1.0, 1 / np.tan(a / 2) / (1 + _towards(a))))
 
 
-def _axes(forks: _Forks, usual: float) -> tuple[FloatArray, _Axes]:
+def _axes(forks: _Forks) -> tuple[FloatArray, _Axes]:
     """The bearings (n, b) [rad] of branches beyond the widening of their forks, and the axes of
     those that are corridors: nearly straight and of constant width, up to the rounding of cells.
-    The bearing of others is that of the centroid of their cells.
-
-    usual: prior probability that an axis bends.
-    """
+    The bearing of others is that of the centroid of their cells."""
     beyond, number, toward = forks.beyond(_begins(forks))
     bearings = np.arctan2(toward[:, 1], toward[:, 0])
     # Two cells make a line, where cells are large.
@@ -280,11 +238,11 @@ def _axes(forks: _Forks, usual: float) -> tuple[FloatArray, _Axes]:
     normal = np.stack([-np.sin(angle), np.cos(angle)], axis=1)
     s, c = -normal[line, 0], normal[line, 1]
     readings = np.minimum(count, AXIS_M / APART_M)
-    bend = _bend(mean, (c * u + s * v, c * v - s * u), readings, (rounding, wide), usual)
+    bend = _bend(mean, (c * u + s * v, c * v - s * u), readings, (rounding, wide))
     unlike = 0.5 * (np.maximum(bend.left, 0.0) + wide) / rounding
     # Beyond three sigma it is none; exp would overflow.
-    fits = unlike < 4.5
-    of_mean = np.exp(np.minimum(unlike, 4.5)) * rounding / count
+    fits = unlike < 0.5 * 3**2
+    of_mean = np.exp(np.where(fits, unlike, 0.0)) * rounding / count
     bearings[lines[fits]] = angle[fits]
     fork = lines // (len(forks.ring) // len(forks.xy))
     middle += forks.xy[fork]
@@ -300,15 +258,13 @@ def _bend(
     cells: tuple[FloatArray, FloatArray],
     readings: FloatArray,
     noise: tuple[float, FloatArray],
-    usual: float,
 ) -> _Bend:
     """The bends of axes, from their cells (c,) along and across the best-fitting straight lines
     [m].
 
     mean: over the cells of each axis; readings: (a,) number of independent cells; noise: variances
     [m²] of rounding, and (a,) of the corridor's width: objects in the corridor are not a bend. An
-    axis is straight, or bends by a normal number of sigma BENT_PER_M, with the prior probability
-    `usual`.
+    axis is straight or, as likely, bends by a normal number of sigma BENT_PER_M.
     """
     along, across = cells
     rounding, wide = noise
@@ -322,10 +278,10 @@ def _bend(
     if_bent = 1 / (weight * unexplained + BENT_PER_M**-2)
     by = if_bent * weight * shown
     odds = 0.5 * (by * by / if_bent + np.log(if_bent / BENT_PER_M**2))
-    likely = expit(odds + logit(usual))
+    likely = expit(odds)
     bent = likely * by
     left = strays - (2 * shown - bent * unexplained) * bent
-    return _Bend(spread, skew, bent, likely * (if_bent + (1 - likely) * by * by), odds, left)
+    return _Bend(spread, skew, bent, likely * (if_bent + (1 - likely) * by * by), left)
 
 
 def _centres(forks: _Forks, bearings: FloatArray, axes: _Axes) -> tuple[FloatArray, list[float]]:

@@ -75,6 +75,13 @@ NARROW_DEG = 120
 found, with 90 three of four, with 60 degrees and 4 m hardly any."""
 
 
+def sectors(angles_rad: FloatArray) -> BoolArray:
+    """(SECTORS,) whether any of the directions (k,) lies in each sector."""
+    out = np.zeros(SECTORS, np.bool_)
+    out[np.floor(angles_rad / (2 * np.pi) * SECTORS).astype(np.int64) % SECTORS] = True
+    return out
+
+
 @dataclass(slots=True, eq=False)
 class _Counted:
     """Counts scans as they pass: scans; echoing: those with a return; seen: (SECTORS,) whether
@@ -91,7 +98,7 @@ class _Counted:
             echo = np.isfinite(batch.ranges_m)
             self.echoing += int(echo.any(axis=1).sum())
             turn = (batch.angles_rad + batch.T_body_laser[2])[echo.any(axis=0)]
-            self.seen[np.floor(turn / (2 * np.pi) * SECTORS).astype(np.int64) % SECTORS] = True
+            self.seen |= sectors(turn)
             yield batch
 
     def warnings(self) -> list[str]:

@@ -19,7 +19,7 @@ from .open_space import Lattice, OpenSpace, distance, wall_yaw
 from .rooms import Rooms, door_nodes, doors, with_rooms
 from .skeleton import Edge, Node, SkeletonGraph, SkeletonSettings, thin, traced
 from .skeleton_lines import Lines, lines_of
-from .ways import Drivable, Way, drivable_way
+from .ways import Drivable, drivable_way
 
 
 @dataclass(frozen=True, slots=True)
@@ -287,6 +287,10 @@ def _known_places(rooms: Rooms, agreement: Sequence[float], drivable: Drivable) 
     ]
 
 
+HEADING_M = 1.0
+"""Distance from a dead end at which the heading of its one branch is measured."""
+
+
 def _floorplan(graph: SkeletonGraph, known: Sequence[Place], axes: _Axes) -> Floorplan:
     """Places, and the ways between them that can be driven, from the corner of the lattice.
 
@@ -310,13 +314,16 @@ def _floorplan(graph: SkeletonGraph, known: Sequence[Place], axes: _Axes) -> Flo
             kind, line = _ended(line, axes)
             if kind == "frontier" and way_of(line)[-1] <= graph.nodes[source].clearance_m:
                 continue
-        way = _way(line, axes)
+        # Within the distance of the walls from each of its points.
+        reach_m = axes.clearance_m[axes.drivable.at(line)].astype(np.float64)
+        way = drivable_way(line, axes.drivable, reach_m)
         if way is None:
             blocked += 1
             continue
         if target < 0:
             target = len(places)
-            places.append(_end_of(way, kind))
+            heading = wrap(np.array([leaving_over(way.path[::-1], HEADING_M)]))
+            places.append(Place(way.path[-1], heading, kind, 0.5))
         corridors.append(Corridor(source, target, source_branch, target_branch, *way))
     return Floorplan(tuple(places), tuple(corridors), blocked)
 
@@ -331,22 +338,6 @@ def _from_corner(plan: Floorplan, lattice: Lattice, cell_m: float) -> Floorplan:
         places.append(replace(place, xy=lattice.out(place.xy) + shift, branches=headings))
     corridors = [replace(c, path=lattice.out(c.path) + shift) for c in plan.corridors]
     return plan._replace(places=tuple(places), corridors=tuple(corridors))
-
-
-def _way(line: FloatArray, axes: _Axes) -> Way | None:
-    """The way along a line, within the distance of the walls from each of its points."""
-    reach_m = axes.clearance_m[axes.drivable.at(line)].astype(np.float64)
-    return drivable_way(line, axes.drivable, reach_m)
-
-
-HEADING_M = 1.0
-"""Distance from a dead end at which the heading of its one branch is measured."""
-
-
-def _end_of(way: Way, kind: Literal["dead_end", "frontier"]) -> Place:
-    """The place at the end of a way."""
-    heading = wrap(np.array([leaving_over(way.path[::-1], HEADING_M)]))
-    return Place(way.path[-1], heading, kind, 0.5)
 
 
 def _polyline(edge: Edge, nodes: Sequence[Node], cell_m: float) -> FloatArray | None:

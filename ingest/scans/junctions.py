@@ -12,6 +12,8 @@ from scipy.spatial import cKDTree
 from ...topology.arrays import FloatArray, IntArray
 from ...topology.connected import connected
 from ...topology.digits import significant
+from ...topology.passes import ONE_WAY_RAD
+from ...topology.quadratic_forms import QUARTILE_SIGMAS
 from ...topology.ragged import Ragged
 from ...topology.run import ScanPasses
 from ...topology.se2 import apply, inverse, wrap
@@ -28,8 +30,6 @@ class JunctionSettings:
     """Only within this distance driven: else the robot was there twice."""
     least_share: float = 0.5
     """Least share of the windows that could show a junction that must show it."""
-    gap_rad: float = 0.35
-    """Headings farther apart belong to different branches."""
 
 
 JUNCTIONS = JunctionSettings()
@@ -45,10 +45,11 @@ class Driven:
 
 
 class _Junction(NamedTuple):
-    """A junction fused from the windows around it: way: distance driven at it [m]; xy [m];
-    branches: headings; windows: number that show it; confidence, clearance_m,
-    sigma_m: see `ScanPasses`."""
+    """A junction fused from the windows around it: rows: of the track where it is nearest, first
+    and last near; way: distance driven at it [m]; xy [m]; branches: headings; windows: number that
+    show it; confidence, clearance_m, sigma_m: see `ScanPasses`."""
 
+    rows: tuple[int, int, int]
     way: float
     xy: FloatArray
     branches: FloatArray
@@ -87,10 +88,12 @@ def junction_passes(seen: Sequence[Seen], driven: Driven) -> ScanPasses:
         degree = np.bincount(headings.counts[votes])
         branches, turn = _branches((headings, bends), members, votes, int(np.argmax(degree)))
         turns.append(turn)
+        place = np.median(xy[members], axis=0)
         found.append(
             _Junction(
+                rows=_rows_by(driven, at, place),
                 way=at,
-                xy=np.median(xy[members], axis=0),
+                xy=place,
                 branches=branches,
                 confidence=int(degree.max()) / len(WINDOWS.variants),
                 windows=len(np.unique(number[members])),
@@ -98,14 +101,10 @@ def junction_passes(seen: Sequence[Seen], driven: Driven) -> ScanPasses:
                 sigma_m=float(np.median(sigma[members])),
             )
         )
-    found.sort(key=lambda junction: (junction.way, *junction.xy))
+    found.sort(key=lambda junction: (junction.rows[0], junction.way, *junction.xy))
     usual = WINDOWS.variants[0]
     askew_rad = _askew(turns, usual.grid.cell_m / usual.skeleton.chord_m)
     return replace(_passes(found, driven), askew_rad=askew_rad)
-
-
-QUARTILE = 0.3186
-"""Quantile of the absolute value of a standard normal at 25 %."""
 
 
 def _askew(turns: list[FloatArray], cell: float) -> float:
@@ -120,7 +119,7 @@ def _askew(turns: list[FloatArray], cell: float) -> float:
     """
     every = np.concatenate([np.zeros(0), *turns])
     bends = np.abs(every[np.isfinite(every)])
-    differ = (float(np.quantile(bends, 0.25)) / QUARTILE) ** 2 if len(bends) else 0.0
+    differ = (float(np.quantile(bends, 0.25)) / QUARTILE_SIGMAS) ** 2 if len(bends) else 0.0
     return significant(2 * float(np.sqrt(max(differ - 1.25 * cell**2 / 12, 0.0))))
 
 
@@ -183,7 +182,7 @@ def _branches(
     away = np.asarray(wrap(own.values[:, None] - medoid))
     nearest = np.argmin(np.abs(away), axis=1)
     gap = away[np.arange(len(away)), nearest]
-    near = np.abs(gap) <= JUNCTIONS.gap_rad
+    near = np.abs(gap) <= ONE_WAY_RAD
     count = np.bincount(nearest[near], minlength=degree)
     mean = np.bincount(nearest[near], gap[near], degree) / np.maximum(count, 1)
     turn = bends[np.isin(headings.owner, members)]
@@ -194,34 +193,29 @@ def _branches(
     return np.asarray(wrap(medoid + mean)), turn
 
 
+def _rows_by(driven: Driven, way: float, xy: FloatArray) -> tuple[int, int, int]:
+    """Rows of the track where the robot is nearest to a junction, and the first and last one near
+    it."""
+    a, b = np.searchsorted(driven.way, way + 2 * WINDOWS.near_m * np.array([-1.0, 1.0])).tolist()
+    b, a = max(b, a + 1), min(a, len(driven.way) - 1)
+    distance = np.hypot(*(driven.pose[a:b, :2] - xy).T)
+    near = np.flatnonzero(distance <= max(WINDOWS.near_m, float(distance.min())))
+    return a + int(np.argmin(distance)), a + int(near[0]), a + int(near[-1])
+
+
 def _passes(found: list[_Junction], driven: Driven) -> ScanPasses:
     """Junctions in the corrected frame, transformed to the robot's frame at the nearest time."""
     if not found:
         return no_passes()
-    nearest, start, end = np.empty((3, len(found)), np.int64)
-    for k, junction in enumerate(found):
-        around = junction.way + 2 * WINDOWS.near_m * np.array([-1.0, 1.0])
-        a, b = np.searchsorted(driven.way, around)
-        b = max(int(b), int(a) + 1)
-        a = min(int(a), len(driven.way) - 1)
-        distance = np.hypot(*(driven.pose[a:b, :2] - junction.xy).T)
-        best = a + int(np.argmin(distance))
-        within = np.flatnonzero(distance <= max(WINDOWS.near_m, float(distance.min())))
-        nearest[k] = best
-        start[k], end[k] = a + within[0], a + within[-1]
-    way = np.array([junction.way for junction in found])
-    order = np.lexsort((way, driven.time_ns[nearest]))
-    found = [found[k] for k in order]
-    nearest, start, end = nearest[order], start[order], end[order]
+    nearest, start, end = np.array([junction.rows for junction in found]).T
     pose = driven.pose[nearest]
     branches = Ragged.from_rows([junction.branches for junction in found])
-    owner = branches.owner
     return ScanPasses(
         time_ns=driven.time_ns[nearest],
         start_ns=driven.time_ns[start],
         end_ns=driven.time_ns[end],
         centre=apply(inverse(pose), [junction.xy for junction in found]),
-        branches=Ragged(branches.offsets, wrap(branches.values - pose[owner, 2])),
+        branches=Ragged(branches.offsets, wrap(branches.values - pose[branches.owner, 2])),
         confidence=np.array([junction.confidence for junction in found]),
         windows=np.array([junction.windows for junction in found], np.int64),
         clearance_m=np.array([junction.clearance_m for junction in found]),

@@ -21,14 +21,13 @@ from .keyframes import KEYFRAMES, Keyframes, keyframes
 from .matching import posed
 from .scan import ScanBatch
 from .step_errors import LOOSE_M, odometry_motion
+from .turns import TURN_RAD
 
 ENOUGH = 40
 """Number of straight steps: their directions scatter by some degrees, their mean by one."""
 MOST_SCANS = 4000
 """Largest number of scans read."""
-STRAIGHT_RAD = 0.05
-"""Largest rotation of a straight step: with a laser 0.5 m off the centre, a sideways motion of a
-tenth of the step."""
+
 SAME_RAD, SAME_SHARE = 0.2, 0.8
 """Tolerance of directions, and the share of them that must agree: wrongly matched scans have
 arbitrary ones."""
@@ -62,13 +61,14 @@ def _yaws(frames: Keyframes) -> FloatArray:
     second = np.arange(len(frames) - 1)
     own = odometry_motion(frames, second + 1, second)
     way = np.hypot(own[:, 0], own[:, 1])
-    straight = (np.abs(own[:, 2]) < STRAIGHT_RAD) & (np.diff(frames.piece) == 0)
+    # With a laser 0.5 m off the centre, it is moved sideways by less than a tenth of the step.
+    straight = (np.abs(own[:, 2]) < TURN_RAD) & (np.diff(frames.piece) == 0)
     straight &= (way > 0.5 * KEYFRAMES.step_m) & (way < 2 * KEYFRAMES.step_m)
     second, own, way = second[straight], own[straight], way[straight]
     if len(second) == 0:
         return np.zeros(0)
     scans = Swept.of(frames)
-    anywhere = np.tile(np.diag(1 / np.array([1.0, 1.0, STRAIGHT_RAD]) ** 2), (len(own), 1, 1))
+    anywhere = np.tile(np.diag(1 / np.array([1.0, 1.0, TURN_RAD]) ** 2), (len(own), 1, 1))
     still = Steps(np.zeros_like(own), anywhere)
     seen = match_steps(scans, (second + 1, second), still)
     x, y = seen.motion[:, :2].T

@@ -43,17 +43,11 @@ def scan_odometry(batches: Iterable[ScanBatch]) -> Iterator[Posed]:
     first: int | None = None
     for whole in batches:
         first = whole.laser if first is None else first
-        for batch in _split(whole):
-            if batch.laser != first:
-                yield _without_pose(batch, pose)
-                continue
-            part, pose, before = _posed(batch, pose, before)
+        for begin in range(0, len(whole), MOST_SCANS):
+            part = _without_pose(whole.rows(slice(begin, begin + MOST_SCANS)), pose)
+            if whole.laser == first:
+                part, pose, before = _posed(part, pose, before)
             yield part
-
-
-def _split(batch: ScanBatch) -> Iterator[ScanBatch]:
-    for begin in range(0, len(batch), MOST_SCANS):
-        yield batch.rows(slice(begin, begin + MOST_SCANS))
 
 
 def _without_pose(batch: ScanBatch, pose: FloatArray) -> Posed:
@@ -63,10 +57,10 @@ def _without_pose(batch: ScanBatch, pose: FloatArray) -> Posed:
 
 
 def _posed(
-    batch: ScanBatch, pose: FloatArray, before: Keyframes | None
+    part: Posed, pose: FloatArray, before: Keyframes | None
 ) -> tuple[Posed, FloatArray, Keyframes | None]:
     """A batch with its poses; the last scan's pose, and the last scan with returns."""
-    part = _without_pose(batch, pose)
+    batch = part.batch
     rows = _apart(batch, before)
     if len(rows) == 0:
         return part, pose, before
@@ -93,14 +87,14 @@ def _posed(
     own = compose(compose(mount, motion), inverse(mount))
     path = chained(pose, own)
     seen = path if before is not None else np.concatenate([pose[None], path])
-    poses = _held(batch.times_ns, batch.times_ns[rows], seen)
+    # Scans between have the last known pose.
+    last = np.searchsorted(batch.times_ns[rows], batch.times_ns, side="right") - 1
+    poses = seen[np.maximum(last, 0)]
     rate = np.zeros(len(batch))
     rate[rows] = _rates(batch.times_ns[rows], poses[rows])
-    swept = np.zeros((len(batch), 3))
-    swept[:, 2] = rate * batch.sweep_s
-    usable = np.zeros(len(batch), bool)
-    usable[rows] = True
-    done = Posed(batch, poses, swept, rate, usable, np.zeros(len(batch), np.int64))
+    swept = np.column_stack([np.zeros((len(batch), 2)), rate * batch.sweep_s])
+    usable = np.isin(np.arange(len(batch)), rows)
+    done = Posed(batch, poses, swept, rate, usable, part.piece)
     return done, seen[-1], take(fresh, slice(-1, None))
 
 
@@ -116,12 +110,6 @@ def _apart(batch: ScanBatch, before: Keyframes | None) -> IntArray:
             rows.append(row)
             next_ns = time_ns + int(1e9 * APART_S)
     return np.array(rows, np.int64)
-
-
-def _held(time_ns: IntArray, known_ns: IntArray, pose: FloatArray) -> FloatArray:
-    """(n, 3) pose at every time: the last known one."""
-    at = np.maximum(np.searchsorted(known_ns, time_ns, side="right") - 1, 0)
-    return np.asarray(pose[at])
 
 
 def _rates(time_ns: IntArray, pose: FloatArray) -> FloatArray:

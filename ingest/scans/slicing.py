@@ -11,7 +11,7 @@ from ...topology.errors import UsageError
 from ..frames import NOWHERE_ELSE
 from ..logs.clouds import Cloud
 from ..logs.lasers import Geometry, RawScans, one_scan
-from .surfaces import SURFACES
+from .surfaces import MOST_POINTS, SURFACES
 
 FARTHEST_M = 1000.0
 """Larger ranges are invalid: the longest scanners measure some hundred metres."""
@@ -27,8 +27,6 @@ IN_A_ROW = 0.8
 """Least share of directions with a return that have one in the next direction as well: of five in a
 row, which make a line (`SurfaceSettings.least_beams`), four do."""
 
-PIECE = 1 << 18
-"""Points processed at once, to bound memory."""
 
 OPTICAL = np.array([0.0, 0.0, 0.0, -0.5, 0.5, -0.5, 0.5])
 """Rotation of a camera's optical frame (z ahead, y down) to one with x ahead and z up."""
@@ -66,8 +64,7 @@ DEFAULT_SLICES = SliceSettings()
 
 def mount_of_camera(frame: str) -> FloatArray:
     """(7,) assumed pose of a sensor of unknown mounting: looking ahead if it is a camera."""
-    optical = frame.endswith("optical_frame")
-    return OPTICAL.copy() if optical else np.array(NOWHERE_ELSE)
+    return OPTICAL if frame.endswith("optical_frame") else NOWHERE_ELSE
 
 
 def sliced(cloud: Cloud, T_body_sensor: FloatArray, settings: SliceSettings) -> RawScans:
@@ -81,8 +78,8 @@ def sliced(cloud: Cloud, T_body_sensor: FloatArray, settings: SliceSettings) -> 
     ranges, turns = np.full(BEAMS, np.inf), np.zeros(BEAMS)
     level, place = Rotation.from_quat(T_body_sensor[3:]), T_body_sensor[:3]
     low, high = settings.band(float(place[2]))
-    for first in range(0, len(cloud.xyz), PIECE):
-        xyz = cloud.xyz[first : first + PIECE]
+    for first in range(0, len(cloud.xyz), MOST_POINTS):
+        xyz = cloud.xyz[first : first + MOST_POINTS]
         xyz = level.apply(xyz[(np.abs(xyz) < FARTHEST_M).all(axis=1)])
         height = xyz[:, 2] + place[2]
         x, y = xyz[(height >= low) & (height <= high), :2].T

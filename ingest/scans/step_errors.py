@@ -7,16 +7,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ...topology.arrays import BoolArray, FloatArray, IntArray
+from ...topology.quadratic_forms import MEDIAN_SIGMAS
 from ...topology.se2 import between, compose, inverse, wrap
 from .alignment import Steps
 from .keyframes import KEYFRAMES, Keyframes
 from .scatter import STRETCH, Aligned
 
 HEADING_PRIOR = (0.035, 0.03, 0.1)
-"""Prior 1 sigma of heading errors: per metre [rad/m], per radian, and by a lag [s] of each
-laser."""
-MOST_LASERS = 8
-"""Number of lasers with a lag of their own; further ones share the last one's."""
+"""Prior 1 sigma of heading errors: per metre [rad/m], per radian, and by a lag of the scans [s]."""
 SHIFT_PRIOR = (0.03, 0.03, 0.1, 0.1)
 """Prior 1 sigma of the scale of distances, of their direction [rad], and of the position of the
 odometry's centre of rotation [m]."""
@@ -39,20 +37,12 @@ class _Learned:
     def terms(self) -> FloatArray:
         return np.asarray(np.linalg.solve(self.normal, self.right))
 
-    def widened(self, size: int, sigma: float) -> _Learned:
-        """With further terms of which nothing is known but their prior, up to `size`."""
-        more = max(size - len(self.right), 0)
-        normal = np.pad(self.normal, (0, more))
-        new = np.arange(size - more, size)
-        normal[new, new] = sigma**-2.0
-        return _Learned(normal, np.pad(self.right, (0, more)))
-
     def more(self, A: FloatArray, b: FloatArray) -> _Learned:
         """Add rows A (p, k) x = b (p,)."""
         out = self
         for _ in range(8):
             off = b - A @ out.terms
-            sigma = max(1.4826 * float(np.median(np.abs(off))), 1e-3)
+            sigma = max(float(np.median(np.abs(off))) / MEDIAN_SIGMAS, 1e-3)
             weighted = (A / (1 + (off / sigma) ** 2)[:, None] / sigma**2).T
             out = _Learned(self.normal + weighted @ A, self.right + weighted @ b)
         return out
@@ -63,7 +53,7 @@ class StepErrors:
     """A model of the odometry's errors, learned from scan matching.
 
     heading: θ_true = θ + β s + κ θ + δ ω (bias per metre forwards, which has the opposite sign
-    backwards for unequal wheels; scale of turns, lag of the laser); shift: scale of distances,
+    backwards for unequal wheels; scale of turns, lag of the scans); shift: scale of distances,
     their direction, and x, y of the odometry's centre of rotation in the robot's frame.
     """
 
@@ -72,15 +62,13 @@ class StepErrors:
 
     @property
     def terms(self) -> FloatArray:
-        """(2 + lasers,) β [rad/m], κ, δ [s] of each laser."""
+        """(3,) β [rad/m], κ, δ [s]."""
         return self.heading.terms
 
     def steps(self, frames: Keyframes, first: IntArray, second: IntArray) -> Steps:
         """Corrected motion (p, 3) to keyframes `first` from `second`, and its information."""
         own = odometry_motion(frames, first, second)
-        inputs = _inputs(frames, first, second, own)
-        known = self.heading.widened(inputs.shape[1], HEADING_PRIOR[2])
-        turn = wrap(own[:, 2] + inputs @ known.terms[: inputs.shape[1]])
+        turn = wrap(own[:, 2] + _inputs(frames, first, second, own) @ self.terms)
         shift = np.einsum("pkl,l->pk", _shifts(own, turn), self.shift.terms)
         motion = np.column_stack([own[:, :2] + shift, turn])
         motion = compose(compose(inverse(frames.mount[second]), motion), frames.mount[first])
@@ -107,9 +95,7 @@ class StepErrors:
         out = self
         if turn_sure.any():
             A, error = _inputs(frames, first, second, own), wrap(real[:, 2] - own[:, 2])
-            known = self.heading.widened(A.shape[1], HEADING_PRIOR[2])
-            A = np.pad(A, ((0, 0), (0, len(known.right) - A.shape[1])))
-            out = replace(out, heading=known.more(A[turn_sure], error[turn_sure]))
+            out = replace(out, heading=self.heading.more(A[turn_sure], error[turn_sure]))
         if way_sure.any():
             A = _shifts(own, real[:, 2])[way_sure].reshape(-1, len(SHIFT_PRIOR))
             error = (real - own)[way_sure, :2].ravel()
@@ -136,14 +122,8 @@ def odometry_motion(frames: Keyframes, first: IntArray, second: IntArray) -> Flo
 
 
 def _inputs(frames: Keyframes, first: IntArray, second: IntArray, own: FloatArray) -> FloatArray:
-    """(p, 2 + lasers) distance forwards, rotation, and the change of the turning rate over each
-    step, by the laser that saw it."""
-    laser = np.minimum(frames.laser, MOST_LASERS - 1)
-    rate = np.zeros((len(own), int(laser.max(initial=0)) + 1))
-    row = np.arange(len(own))
-    rate[row, laser[first]] += frames.rate[first]
-    rate[row, laser[second]] -= frames.rate[second]
-    return np.column_stack([own[:, 0], own[:, 2], rate])
+    """(p, 3) distance forwards, rotation, and the change of the turning rate over each step."""
+    return np.column_stack([own[:, 0], own[:, 2], frames.rate[first] - frames.rate[second]])
 
 
 def _shifts(own: FloatArray, turn: FloatArray) -> FloatArray:

@@ -6,7 +6,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
 
 import numpy as np
 
@@ -17,10 +16,10 @@ from ..logs.clouds import Cloud
 from ..logs.lasers import Geometry, RawScans, ScanIntake
 from ..logs.messages import LATEST_NS, Channel, several, several_that
 from ..logs.recording import Recording
+from ..read_settings import Stamp
+from ..topic_poses import Clock
 from .scan import ScanBatch
 from .slicing import DEFAULT_SLICES, FARTHEST_M, SliceSettings, sliced
-
-Stamp = Literal["begin", "middle", "end"]
 
 MOST_FREE_M = 50.0
 """Largest distance to which a beam without an echo counts as free space."""
@@ -43,7 +42,6 @@ SAME_RAD = 0.5
 """Scans in one frame whose middles look in directions that differ by less are of one laser: drivers
 add and drop some beams at the ends of a sweep, two lasers look far apart."""
 
-UNMOUNTED = np.array(NOWHERE_ELSE)
 
 LEVEL = 0.97
 """Cosine of the largest tilt of a laser (14°); beyond it walls and floor cannot be told apart."""
@@ -117,7 +115,7 @@ class ScanStream:
         topic: str,
         mounting: Mounting,
         *,
-        clock: Literal["header", "log"] = "header",
+        clock: Clock = "header",
         stamp: Stamp = "begin",
         slices: SliceSettings = DEFAULT_SLICES,
         on_bytes: Callable[[int], None] | None = None,
@@ -163,7 +161,7 @@ class ScanStream:
 
     def _slice(self, cloud: Cloud) -> RawScans:
         mount = self._mounting.of(cloud.frame)
-        return sliced(cloud, UNMOUNTED if mount is None else mount, self._slices)
+        return sliced(cloud, NOWHERE_ELSE if mount is None else mount, self._slices)
 
     def _batch(
         self, raw: RawScans, lasers: list[tuple[str, float]], last_ns: Mapping[int, int]

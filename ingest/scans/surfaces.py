@@ -52,6 +52,8 @@ class Surfaces:
     valid: BoolArray
 
 
+MOST_POINTS = 1 << 18
+"""Points worked on at once, some 100 bytes each."""
 OUT_OF_REACH_M = 1e4
 """Coordinate of missing points, far enough never to be a nearest neighbour."""
 LEAST_M2 = 1e-9

@@ -18,14 +18,13 @@ from ...topology.arrays import FloatArray, IntArray
 from ...topology.errors import DataError
 from ...topology.odometry import Odometry
 from ...topology.se2 import wrap
+from ..topic_poses import LAG_STEP_S, LEFT, MOST_LAG_S, SAME_SHARE
 from .step_errors import HEADING_PRIOR
 
 TURN_RAD = 0.05
 """Rotations larger than this, by scans and odometry, exceed the errors of both."""
 ENOUGH = 20
 """Number of steps, about one full turn, after which chance alone gives 4 of 5 once in 170 times."""
-SAME_SHARE = 0.8
-"""Least share of the steps that turn against the odometry if the laser is upside down."""
 
 
 class MirroredError(DataError):
@@ -71,19 +70,10 @@ class LagSettings:
     least_s: float = HEADING_PRIOR[2]
     """Smaller lags are estimated by `StepErrors` with the other errors of rotations: 1 sigma
     there."""
-    left: float = 0.67
-    """Largest share of the rotations' difference (root mean square) that may remain: half and less
-    remains where scans of two buildings are stamped late by 0.15 s and more, and all of it where
-    they are of another drive."""
-    far_s: float = 10.0
-    """Range of the lags beside which the best one up to `most_s` is judged: robots turn again
-    by then."""
-    far_step_s: float = 0.25
-    """Step of the search among them, as of detections (`ConventionSettings`)."""
     unlike: float = 0.6
-    """Least share of the median difference at far lags that the best one up to `most_s` leaves
-    where the clocks differ: 0.7 and more in five logs with stamps 2.5 to 8 s off, 0.06 and less in
-    four without."""
+    """Least share of the median difference at lags up to `MOST_LAG_S` that the best one up to
+    `most_s` leaves where the clocks differ: 0.7 and more in five logs with stamps 2.5 to 8 s off,
+    0.06 and less in four without."""
 
 
 LAG = LagSettings()
@@ -124,7 +114,7 @@ def clock_lag(odometry: Odometry, time_ns: IntArray, pose: FloatArray, piece: In
     lags = np.asarray(LAG.step_s * np.arange(-count, count + 1), np.float64)
     off = np.array([difference(lag) for lag in lags.tolist()])
     best = int(off.argmin())
-    ahead = np.arange(LAG.most_s + LAG.far_step_s, LAG.far_s + 1e-9, LAG.far_step_s)
+    ahead = np.arange(LAG.most_s + LAG_STEP_S, MOST_LAG_S + 1e-9, LAG_STEP_S)
     far = np.concatenate([-ahead[::-1], ahead])
     elsewhere = np.array([difference(lag) for lag in far.tolist()])
     if off[best] >= LAG.unlike * float(np.median(elsewhere)):
@@ -134,7 +124,7 @@ def clock_lag(odometry: Odometry, time_ns: IntArray, pose: FloatArray, piece: In
             late = "late" if far[there] > 0 else "early"
             shift = f"; they are stamped some {abs(far[there]):.1f} s {late}"
         raise OtherClockError(f"the scans do not turn when the odometry does{shift}")
-    if off[best] > LAG.left * off[count] or best in (0, len(off) - 1):
+    if off[best] > LEFT * off[count] or best in (0, len(off) - 1):
         return 0.0
     before, here, after = off[best - 1 : best + 2] ** 2
     lag = lags[best] + 0.5 * LAG.step_s * (before - after) / (before - 2 * here + after)

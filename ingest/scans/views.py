@@ -105,7 +105,7 @@ def grid_views(grid: Grid, along: FloatArray) -> Views:
         return NO_VIEWS
     own = np.rint(apply(inverse(np.array(grid.origin)), along) / CELL_M).astype(np.int64)
     clearance = distance(np.pad(free, 1), CELL_M)[1:-1, 1:-1].ravel()
-    at = np.flatnonzero(clearance > LEAST_CLEARANCE_M)
+    at = np.flatnonzero(clearance > WINDOWS.skeleton.clearance_m)
     at = at[np.argsort(-clearance[at], kind="stable")]
     corner = _spaced([own, *_corners(at, free.shape[1])], EVERY_M / CELL_M)
     inside = (corner >= 0).all(axis=1) & (corner <= np.array(states.shape)[::-1]).all(axis=1)
@@ -125,10 +125,6 @@ def too_large(grid: Grid) -> bool:
     """Whether no views are cut from a grid: it has more cells of a view than a floor plan may have,
     410 by 410 m. Coarser cells are divided."""
     return bool(grid.free.size * (grid.resolution_m / CELL_M) ** 2 > MOST_CELLS)
-
-
-LEAST_CLEARANCE_M = 0.3
-"""A robot fits in."""
 
 
 def _states(grid: Grid) -> NDArray[np.uint8]:

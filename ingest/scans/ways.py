@@ -10,7 +10,8 @@ from scipy import ndimage
 
 from ...topology.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from ...topology.polyline import densely, simplify, way_of
-from .grid import labelled
+from .grid import Labels, labelled
+from .open_space import nearest_cells
 
 SMOOTH_M = 0.5
 """Length over which the staircase steps of skeletons are smoothed; corridors are straight over
@@ -35,10 +36,11 @@ class Way(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Drivable:
-    """Where a robot can drive: cells: (h, w), all connected; all_m: (h, w) distance of obstacles
-    [m]; radius_m: of the robot."""
+    """Where a robot can drive: cells: (h, w), all connected; nearest: (2, h, w) row and column of
+    that nearest to each; all_m: (h, w) distance of obstacles [m]; radius_m: of the robot."""
 
     cells: BoolArray
+    nearest: Labels
     all_m: Float32Array
     radius_m: float
     cell_m: float
@@ -54,7 +56,7 @@ class Drivable:
         size = np.bincount(label.ravel())
         size[0] = 0
         cells = label == size.argmax() if size.any() else fits
-        return cls(cells, all_m, radius_m, cell_m)
+        return cls(cells, nearest_cells(~cells), all_m, radius_m, cell_m)
 
     def price(self, box: tuple[slice, slice]) -> FloatArray:
         """(h, w) price of a metre in the cells of a box."""
@@ -70,19 +72,11 @@ class Drivable:
     def moved(self, xy: FloatArray) -> FloatArray:
         """(2,) the point itself if a robot can be there, or nowhere, else the nearest one where it
         can."""
-        (row,), (column,) = self.at(xy[None])
-        if self.cells[row, column]:
+        row, column = (at.item() for at in self.at(xy[None]))
+        nearest = self.nearest[:, row, column]
+        if self.cells[row, column] or not self.cells[tuple(nearest)]:
             return xy
-        reach = 16
-        while reach < 4 * max(self.cells.shape):
-            top, left = max(row - reach, 0), max(column - reach, 0)
-            found = np.argwhere(self.cells[top : row + reach + 1, left : column + reach + 1])
-            found += np.array([top, left])
-            away = np.hypot(*(found - np.array([row, column])).T)
-            if len(found) and away.min() <= reach:  # beyond, a corner may hide a nearer one
-                return np.asarray(found[away.argmin()][::-1] * self.cell_m, np.float64)
-            reach *= 2
-        return xy
+        return np.asarray(nearest[::-1] * self.cell_m, np.float64)
 
     def holds(self, path: FloatArray) -> bool:
         """Whether a robot can drive straight from point to point of a path (k, 2)."""

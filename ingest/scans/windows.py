@@ -17,7 +17,7 @@ from ...topology.columns import joined, take
 from ...topology.odometry import Odometry
 from ...topology.track import piece_of, point_at, way_at
 from ...topology.views import SIDE, view_cells
-from .crossing import BendTally, bends, crossing, crossings
+from .crossing import bends, crossing, crossings
 from .grid import GridSettings, Looks, Window, free_space, gather, labelled, looks
 from .matching import Matched, Placed
 from .skeleton import Node, SkeletonSettings, thin, traced
@@ -96,19 +96,18 @@ def windows(parts: Iterable[Matched]) -> Iterator[Seen]:
     Memory: the keyframes of two windows.
     """
     numbers, driven = count(), 0.0
-    tally = BendTally(1 / len(WINDOWS.variants))
     for _, runs in groupby(_unbroken(parts), key=lambda run: int(run.piece[0])):
         held: _Rolling | None = None
         following = driven
         for run in runs:
             held = _rolling(run, held, driven)
             ready = float(held.way[-1]) - WINDOWS.way_m
-            for seen in _due(held, (following, ready), numbers, tally):
+            for seen in _due(held, (following, ready), numbers):
                 yield seen
                 following = seen.way + WINDOWS.every_m
             held = _trimmed(held, following - WINDOWS.way_m)
         if held is not None:
-            yield from _due(held, (following, np.inf), numbers, tally)
+            yield from _due(held, (following, np.inf), numbers)
             driven = float(held.way[-1])
 
 
@@ -150,18 +149,16 @@ def _trimmed(held: _Rolling, oldest: float) -> _Rolling:
     return take(held, np.arange(len(held.way) - 1, first - 1, -every)[::-1])
 
 
-def _due(
-    held: _Rolling, stretch: tuple[float, float], numbers: Iterator[int], tally: BendTally
-) -> Iterator[Seen]:
+def _due(held: _Rolling, stretch: tuple[float, float], numbers: Iterator[int]) -> Iterator[Seen]:
     """The windows whose centres lie within an interval of the distance held, from its start on."""
     (following, ready), last = stretch, float(held.way[-1])
     while following <= min(ready, last):
-        yield _look(held, following, next(numbers), tally)
+        yield _look(held, following, next(numbers))
         following += WINDOWS.every_m
 
 
-def _look(held: _Rolling, middle: float, number: int, tally: BendTally) -> Seen:
-    """One window under all variants of the settings; its axes are added to the tally."""
+def _look(held: _Rolling, middle: float, number: int) -> Seen:
+    """One window under all variants of the settings."""
     cell_m = WINDOWS.grid.cell_m
     half = round(WINDOWS.half_m / cell_m)
     side = 2 * half + 1
@@ -204,7 +201,7 @@ def _look(held: _Rolling, middle: float, number: int, tally: BendTally) -> Seen:
             if len(node.ends) >= 3
             and nearest.way(node.xy + origin, WINDOWS.near_m + node.clearance_m) is not None
         ]
-        places, _ = crossings(graph, nodes, skeleton, tally)
+        places, _ = crossings(graph, nodes, skeleton)
         for place in places.values():
             xy = place.xy + origin
             way = nearest.way(xy, WINDOWS.near_m)

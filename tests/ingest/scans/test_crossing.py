@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from topobatch.ingest.scans.crossing import BendTally, crossing, placed
+from topobatch.ingest.scans.crossing import crossing, placed
 from topobatch.ingest.scans.skeleton import Node, SkeletonGraph, SkeletonSettings, thin, traced
 from topobatch.ingest.scans.skeleton_lines import Lines, lines_of
 from topobatch.topology.se2 import wrap
@@ -42,10 +42,10 @@ def fork_of(free: np.ndarray) -> tuple[SkeletonGraph, Node]:
     return graph, node
 
 
-def seen(free: np.ndarray, tally: BendTally | None = None) -> tuple[Node, Node]:
+def seen(free: np.ndarray) -> tuple[Node, Node]:
     """The one junction of a grid, as the skeleton forks and as its corridors cross."""
     graph, node = fork_of(free)
-    (place,) = placed(graph, [node], tally)
+    (place,) = placed(graph, [node])
     return node, crossing(graph, place, SkeletonSettings())
 
 
