@@ -31,7 +31,7 @@ def lock(
         bool, "--same", "The two share places: join them, where they fit best."
     ] = False,
     never: Annotated[bool, "--never", "They share nothing: keep them apart, always."] = False,
-    clear: Annotated[bool, "--clear", "Forget what was said about the two."] = False,
+    clear: Annotated[bool, "--clear --undo", "Forget what was said about the two."] = False,
     at: Annotated[
         str | None,
         "--at JUNCTIONS",
@@ -139,13 +139,15 @@ def discard(
         if pairs:
             before = place.discards()
             place.decide(discards=before - set(pairs) if undo else before | set(pairs))
+        logs = listed([*dict.fromkeys(log for run in runs if (log := place.ingested(run).log))])
         for run in runs:
             _discard_run(place, run)
         names = listed([*runs, *(f"{a}:{b}" for a, b in pairs)])
         done = f"{'counted again' if undo else 'discarded'}: {names}"
         note(place, "discard", done)
         back = "comes back when its log is" if len(runs) == 1 else "come back when their logs are"
-        say(f"{done}; {listed(runs)} {back} ingested again" if runs else done)
+        back += f" ingested again{logs and f', unless you remove it: {logs}'}"
+        say(f"{done}; {listed(runs)} {back}" if runs else done)
         made_again(place, {*runs, *(run for pair in pairs for run in pair)})
 
 

@@ -232,10 +232,11 @@ def site_map(result: MergeResult, maps: Iterable[TopoMap], run: str) -> TopoMap:
     """The merged map of the site that a run is part of, as one map in the frame of the site, called
     like it.
 
-    result, maps: a merge, and the maps that it merged; run: any run of the site. Raises UsageError
-    if the run was not merged.
+    result, maps: a merge, and the maps that it merged; run: any run of the site, or its name.
+    Raises UsageError if there is none.
     """
-    component = _component_of(result, run)
+    component = next((c for c in _of_merge(result).components if run == c.name), None)
+    component = component or _component_of(result, run)
     own = {m.run: m for m in maps if m.run in component.poses}
     return component_map(result, component.id, component.name, own)
 

@@ -107,18 +107,18 @@ def _row(row: Listed) -> tuple[str, ...]:
 def _by_site(rows: Sequence[Listed], sizes: Mapping[int, str]) -> list[tuple[str, list[int]]]:
     """Titles, each with the numbers of the rows below it: the sites of several runs by
     name; runs that are alone; runs that were not merged. sizes: of components, in words."""
-    groups: dict[tuple[int, str], list[int]] = {}
+    groups: dict[tuple[int, str, str], list[int]] = {}
     for k, row in enumerate(rows):
         if row.component is None:
-            key = (2, "not merged")
+            key = (2, "", "not merged")
         elif row.runs == 1 and row.site in (None, row.run):
-            key = (1, "alone")
+            key = (1, "", "alone")
         else:
             called = row.site or f"component {row.component}"
             size = sizes.get(row.component, "")
-            key = (0, f"{called}: {counted(row.runs or 0, 'run')}{size}")
+            key = (0, called, f"{called}: {counted(row.runs or 0, 'run')}{size}")
         groups.setdefault(key, []).append(k)
-    return [(title, own) for (_, title), own in sorted(groups.items())]
+    return [(title, own) for (*_, title), own in sorted(groups.items())]
 
 
 @contextmanager

@@ -77,7 +77,7 @@ def next_drives(
     if not output:
         named = () if site is None else (site,)
         plan = place.call("next", *named, *place.of_merge, "-o", "plan.svg")
-        say(f"on a map with numbers: {plan} (waypoints: plan.csv, plan.geojson)")
+        say(f"on a map with numbers: {plan} (waypoints: plan.geojson{', plan.csv' * bool(found)})")
 
 
 def _lines(
@@ -134,8 +134,8 @@ def _not_to_settle(result: MergeResult, place: Workspace, about: Component | Non
         return ""
     return (
         f"{counted(open_, 'pair of runs is', 'pairs of runs are')} open, but no drive is likely to "
-        "settle any: what it would find looks alike elsewhere; if you know: "
-        f"{place.call('lock', 'A', 'B', '--same')}, or --never"
+        "settle any: what it would find looks alike elsewhere, or a lock keeps them apart; if you "
+        f"know: {place.call('lock', 'A', 'B', '--same')}, --never or --clear"
     )
 
 

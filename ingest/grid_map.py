@@ -76,8 +76,8 @@ def map_of_grid(log: GridLog, settings: FloorplanSettings = FLOORPLAN) -> TopoMa
         )
     elif tried.skeleton.clearance_m < settings.skeleton.clearance_m:
         warnings += (
-            f"no junction for a robot of {settings.skeleton.clearance_m:g} m radius; mapped for "
-            f"one of {tried.skeleton.clearance_m:g} m, which fits through narrower doors",
+            f"mapped for a robot of {tried.skeleton.clearance_m:g} m radius, which fits through "
+            f"narrower doors; one of {settings.skeleton.clearance_m:g} m meets no junction",
         )
     if blocked:
         warnings += (f"{counted(blocked, 'corridor')} left out: a robot cannot drive there",)

@@ -137,16 +137,18 @@ SiteOf = Callable[[int], _Site]
 
 
 def _joining(result: MergeResult, site: SiteOf, wanted: Collection[int]) -> Iterator[Drive]:
-    """For every two sites with an open pair of runs the drive that would join them; `wanted`: the
-    components of which one is to be among the two."""
+    """For every two sites with an open pair of runs, and none locked apart, the drive that would
+    join them; `wanted`: the components of which one is to be among the two."""
     home = result.component_of
+    never = [v for v in result.verdicts if v.locked == "never"]
+    apart = [{home[v.a].id, home[v.b].id} for v in never]
     between: dict[tuple[int, int], list[PairVerdict]] = {}
     for pair in result.verdicts:
         one, two = home[pair.a], home[pair.b]
         if one.id == two.id or not _is_open(pair):
             continue
         key = sorted((one, two), key=lambda c: (-len(c.poses), c.id))
-        if one.id in wanted or two.id in wanted:
+        if {one.id, two.id} & {*wanted} and {one.id, two.id} not in apart:
             between.setdefault((key[0].id, key[1].id), []).append(pair)
     members, placed = fused_of(result.fused.members), _placed(result)
     likely = {key: max((_right(p), p.evidence_bits) for p in own) for key, own in between.items()}

@@ -235,9 +235,9 @@ class Canvas:
         """Write a text centred at a point (2,) [m]."""
         self._written.append(np.concatenate([at, self._half(text, size_pt)]))
         font = self._font(size_pt, bold=bold)
-        if ink:  # the line below it may have the same one
+        if ink or bold:  # what lies below it may have the same one
             box = {"boxstyle": "square,pad=0.1", "fc": self.theme["paper"], "lw": 0, "alpha": 0.7}
-            font |= {"color": ink, "bbox": box}
+            font |= {"color": ink or font["color"], "bbox": box}
         self._axes.text(*at.tolist(), text, ha="center", va="center", **font)
 
     def _font(self, size_pt: float = TEXT_PT, *, bold: bool = False) -> dict[str, Any]:

@@ -67,7 +67,7 @@ def draw_map(topomap: TopoMap, theme: Theme) -> Canvas:
 def _turned_by(T_sheet_map: FloatArray) -> str:
     """By how much the picture is turned from the frame of its map, to be added to a title."""
     degrees = round(float(np.degrees(T_sheet_map[2])))
-    return f"; turned by {degrees}°" if degrees else ""
+    return f"; drawn turned by {degrees}°" if degrees else ""
 
 
 def _corridors_of(canvas: Canvas, m: TopoMap, T: FloatArray) -> None:

@@ -218,14 +218,15 @@ def _sure_changes(report: Report) -> list[Change]:
 
 
 def _changes(report: Report) -> list[tuple[str, list[tuple[int, str]]]]:
-    """The changes of every site of several runs, with their numbers."""
+    """The changes of every site of several runs that tell times, with their numbers."""
     if report.result is None or not report.as_merged:
         return []
-    several, _ = _groups(report.result)
+    timed = {run for run, m in report.maps.items() if m.is_driven}
     sure = numbered(_sure_changes(report))
     return [
         (own.name, [(k, describe_change(c, own.name)) for k, c in sure if c.component == own.id])
-        for own in several
+        for own in _groups(report.result)[0]
+        if len(timed & own.poses.keys()) > 1
     ]
 
 

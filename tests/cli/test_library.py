@@ -9,6 +9,7 @@ import re
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -171,6 +172,8 @@ def test_what_a_merge_does_not_have_is_said() -> None:
 
     (maze,) = topobatch.ingest(ROOT / "sample_logs" / "maze-1.mcap")
     result = topobatch.merge([maze])
+    result = replace(result, components=(replace(result.components[0], site="maze"),))
+    assert topobatch.site_map(result, [maze], "maze").run == "maze"
     with pytest.raises(UsageError, match="no run 'lab' was merged; there are maze-1"):
         topobatch.explain(result, [maze], "maze-1", "lab")
     with pytest.raises(UsageError, match="no map is exported as 'dxf': nav2"):

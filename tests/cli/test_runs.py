@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from topobatch.cli.options import complete_run
+from topobatch.cli.workspace import Workspace
 from topobatch.topology.document import read_map, write_map
 from topobatch.topology.files import read_json
 from topobatch.topology.view_file import views_path
@@ -86,9 +87,13 @@ def test_a_discarded_run_leaves_nothing(topobatch, merged, two_buildings, tmp_pa
     assert topobatch("explain", gone, other, "-w", merged).code == 0
     assert topobatch("export", gone, "-f", "csv", "-w", merged).code == 0
     assert topobatch("export", gone, "-f", "g2o", "-w", merged).code == 0
+    record = Workspace(merged).ingest_record(gone)
+    record.parent.mkdir(parents=True, exist_ok=True)
+    record.write_text('{"log": "/logs/x.mcap"}')
     done = topobatch("discard", gone, "-w", merged)
     assert done.code == 0, done
-    assert f"{gone} comes back when its log is ingested again\n" in done.out
+    back = f"{gone} comes back when its log is ingested again"
+    assert f"{back}, unless you remove it: /logs/x.mcap\n" in done.out
     never = tmp_path / "never"
     shutil.copytree(two_buildings, never)
     (never / "maps" / f"{gone}.json").unlink()

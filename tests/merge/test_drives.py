@@ -134,6 +134,13 @@ def test_where_it_would_tell_no_copy_nothing_is_proposed(bits: float, proposed: 
     assert bool(drives(merge_of({"a": A, "b": B}, [pair]))) == proposed
 
 
+def test_sites_that_a_person_locked_apart_are_not_joined() -> None:
+    sites = {"a": A, "b": B}
+    assert drives(merge_of(sites, [open_pair(COMMON)]))[0].onto == "b"
+    locked = PairVerdict("a", "b", Verdict.UNRELATED, False, 0.0, "", locked="never")
+    assert all(d.onto is None for d in drives(merge_of(sites, [open_pair(COMMON), locked])))
+
+
 def test_what_hardly_brings_evidence_is_not_proposed() -> None:
     many = {f"r{k:02}": (0, 12, np.zeros(3)) for k in range(9)}
     result = merge_of(many, [])

@@ -207,6 +207,11 @@ def test_changes_are_numbered_throughout_all_sites(merge_of) -> None:
     assert found == [("1", "0"), ("2", "1")]
     numbers, *_ = Page(html).sources("site-1")["numbers"]
     assert numbers["text"] == ["2"]
+    assert page_of(named(result), maps).count("Nothing changed") == 2
+    none = np.zeros(0, np.int64)
+    saved = replace(maps[0], traversal_ns=None, observation_vertex=none, observation_time_ns=none)
+    html = page_of(named(result), [saved, *maps[1:]])
+    assert (html.count("Nothing changed"), html.count("Saved maps tell")) == (1, 1)
 
 
 def test_every_pair_is_in_the_page_with_its_reason(merge_of) -> None:

@@ -18,7 +18,7 @@ from .route_graph import driving_seconds, driving_speed, gone_properties, second
 
 def junctions_csv(topomap: TopoMap) -> str:
     """A row for each vertex, in metres, radians and seconds since 1970; lists are separated by
-    blanks."""
+    blanks. junction: of a site, the number in pictures and in the merged document."""
     document, rows = map_to_document(topomap), []
     for node in document["nodes"]:
         seen = [o["time_ns"] for o in node["observations"]]
@@ -36,6 +36,9 @@ def junctions_csv(topomap: TopoMap) -> str:
                 "last_pass_s": seconds_text(max(seen)) if seen else "",
             }
         )
+    known = topomap.info.get("numbers")  # of a document it could be anything but a tuple
+    if isinstance(known, tuple):
+        rows = [{**row, "junction": number} for row, number in zip(rows, known, strict=True)]
     return _table(rows, topomap, "nodes")
 
 

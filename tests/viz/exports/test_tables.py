@@ -14,6 +14,8 @@ def test_tables_have_a_row_for_everything(driven) -> None:
     assert [float(row["x"]) for row in junctions] == driven[1].xy[:, 0].tolist()
     assert [int(row["source"]) for row in corridors] == driven[1].source.tolist()
     assert sum(int(row["passes"]) for row in junctions) == len(driven[1].observation_vertex)
+    site = replace(driven[1], info={"numbers": tuple(range(7, 7 + len(driven[1])))})
+    assert read_csv(MAP_FORMATS["csv"][".junctions.csv"](site, 0.1))[1]["junction"] == "8"
     assert all(0.2 < float(row["speed_m_per_s"]) < 1.5 for row in corridors)
 
 
