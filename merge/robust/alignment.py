@@ -174,18 +174,21 @@ def match_all(
     maps change what is found.
     """
     pairs, ordered = tee(pairs)
-    cases = (_best_hypotheses(*sorted(pair, key=_content), settings) for pair in ordered)
+    cases = (_best_hypotheses(*_by_content(a, b), settings) for a, b in ordered)
     batches = _batches(cases, lambda case: len(case[1]), MATCH.most_pairs)
     results = (
         found for batch in batches for found in _match_batch(batch, settings, thorough=thorough)
     )
     for (a, b), found in zip(pairs, results, strict=True):
-        is_ordered = _content(a) <= _content(b)
-        yield found if is_ordered else tuple(c.exchanged() for c in found)
+        yield found if _by_content(a, b)[0] is a else tuple(c.exchanged() for c in found)
 
 
-def _content(m: Prepared) -> tuple[bytes, ...]:
-    return m.z.tobytes(), m.length.tobytes(), m.views.pose.tobytes()
+def _by_content(a: Prepared, b: Prepared) -> tuple[Prepared, Prepared]:
+    """Two maps, that with the lesser content first."""
+    content_a, content_b = (
+        (m.z.tobytes(), m.length.tobytes(), m.views.pose.tobytes()) for m in (a, b)
+    )
+    return (a, b) if content_a <= content_b else (b, a)
 
 
 def _best_hypotheses(
