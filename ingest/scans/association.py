@@ -5,7 +5,9 @@ A point is transformed into the other laser's frame; its bearing selects the bea
 is compared with. No search tree is built, hundreds of pairs of scans go through one call, and inner
 loops are free of branches.
 
-Single precision suffices.
+Single precision suffices, with operations that IEEE 754 rounds alike everywhere (+, -, ·, /).
+numpy's arctangents and BLAS's products differ between processors by 1e-7 and more, so that other
+points pass a gate, and poses differ by 1e-5 m.
 """
 
 from __future__ import annotations
@@ -193,12 +195,33 @@ def _beam(
     whether the point is in the field of view."""
     start = wrap(scans.start[second]).astype(np.float32)[:, None]
     per_rad = (1 / scans.increment[second]).astype(np.float32)[:, None]
-    beam = (np.arctan2(y, x) - start) * per_rad
+    beam = (bearings(x, y) - start) * per_rad
     # Bearings before the first beam are moved on by a whole turn.
     beam += (beam < -0.5) * (np.float32(2 * np.pi) * per_rad)
     beam = np.rint(beam)
     inside = (beam >= 0) & (beam < scans.own_beams[second][:, None])
     return np.clip(beam, 0, scans.beams - 1).astype(np.int64), inside
+
+
+ARCTAN = np.array((0.9998660, -0.3302995, 0.1801410, -0.0851330, 0.0208351), np.float32)
+"""arctan(t) = t Σ a_k t^2k, to 1e-5 rad for t in [0, 1], a thousandth of the angle between beams
+(Abramowitz and Stegun, Handbook of Mathematical Functions, 1964, 4.4.47)."""
+
+
+def bearings(x: Float32Array, y: Float32Array) -> Float32Array:
+    """Bearing of every point [rad], as arctan2(y, x), but the same on every processor."""
+    across, along = np.abs(y), np.abs(x)
+    longer = np.maximum(np.maximum(across, along), np.finfo(np.float32).tiny)
+    ratio = np.minimum(across, along) / longer
+    square = ratio * ratio
+    bearing = square * ARCTAN[-1]
+    for a in ARCTAN[-2:0:-1]:
+        bearing += a
+        bearing *= square
+    bearing += ARCTAN[0]
+    bearing *= ratio
+    bearing = np.where(across > along, np.float32(0.5 * np.pi) - bearing, bearing)
+    return np.asarray(np.copysign(np.where(x < 0, np.float32(np.pi) - bearing, bearing), y))
 
 
 def _nearest(
