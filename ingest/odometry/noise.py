@@ -21,7 +21,6 @@ from ...topology.closure.evidence import PRIOR_PASSES
 from ...topology.digits import significant
 from ...topology.odometry import Odometry
 from ...topology.passes import ONE_WAY_RAD, Passes
-from ...topology.quadratic_forms import MEDIAN_SIGMAS
 from ...topology.run import Detections
 from ...topology.se2 import wrap
 from ...topology.topomap import RunNoise
@@ -216,5 +215,5 @@ class Repeats:
         freedom = (1 - 1 / k[free]) * (1 - 1 / c[free])
         scaled = np.abs(off[free]) / np.sqrt(freedom)
         weight = float(freedom.sum())
-        found = float(np.median(scaled)) / MEDIAN_SIGMAS
+        found = float(np.median(scaled)) / 0.6745
         return float(np.sqrt((weight * found**2 + worth * prior**2) / (weight + worth)))

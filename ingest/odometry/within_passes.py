@@ -10,7 +10,6 @@ import numpy as np
 from ...topology.arrays import FloatArray, IntArray
 from ...topology.odometry import Odometry
 from ...topology.passes import Passes
-from ...topology.quadratic_forms import MEDIAN_SIGMAS
 from ...topology.run import Detections
 from ...topology.se2 import apply, wrap
 from ...topology.topomap import RunNoise
@@ -96,8 +95,8 @@ def scatter(values: FloatArray, group: IntArray, prior: float) -> float:
     """
     same = np.diff(group) == 0
     step = np.abs(np.diff(values, axis=0)[same]).ravel()
-    # Differences have twice the variance.
-    found = float(np.median(step)) / (MEDIAN_SIGMAS * np.sqrt(2)) if len(step) else 0.0
+    # Median of |N(0, 2σ²)| = 0.6745 √2 σ.
+    found = float(np.median(step)) / (0.6745 * np.sqrt(2)) if len(step) else 0.0
     if found < SAME:
         return float(prior / np.sqrt(2))
     weight, expected = float(len(step)), prior**2 / 2

@@ -13,7 +13,6 @@ from ...topology.arrays import FloatArray, IntArray
 from ...topology.connected import connected
 from ...topology.digits import significant
 from ...topology.passes import ONE_WAY_RAD
-from ...topology.quadratic_forms import QUARTILE_SIGMAS
 from ...topology.ragged import Ragged
 from ...topology.run import ScanPasses
 from ...topology.se2 import apply, inverse, wrap
@@ -107,6 +106,10 @@ def junction_passes(seen: Sequence[Seen], driven: Driven) -> ScanPasses:
     return replace(_passes(found, driven), askew_rad=askew_rad)
 
 
+QUARTILE = 0.3186
+"""Quantile of the absolute value of a standard normal at 25 %."""
+
+
 def _askew(turns: list[FloatArray], cell: float) -> float:
     """1 sigma [rad] of the heading error that all passes by a junction share.
 
@@ -119,7 +122,7 @@ def _askew(turns: list[FloatArray], cell: float) -> float:
     """
     every = np.concatenate([np.zeros(0), *turns])
     bends = np.abs(every[np.isfinite(every)])
-    differ = (float(np.quantile(bends, 0.25)) / QUARTILE_SIGMAS) ** 2 if len(bends) else 0.0
+    differ = (float(np.quantile(bends, 0.25)) / QUARTILE) ** 2 if len(bends) else 0.0
     return significant(2 * float(np.sqrt(max(differ - 1.25 * cell**2 / 12, 0.0))))
 
 

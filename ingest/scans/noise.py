@@ -11,7 +11,6 @@ from scipy.optimize import nnls
 from ...topology.arrays import FloatArray, IntArray
 from ...topology.columns import joined
 from ...topology.digits import significant
-from ...topology.quadratic_forms import MEDIAN_SIGMAS
 from ...topology.run import ScanPasses
 from ...topology.se2 import between, wrap
 from ...topology.topomap import RunNoise
@@ -66,6 +65,11 @@ def _heading_walk(way: FloatArray, turned: FloatArray, variance: FloatArray) -> 
     return np.asarray((USUAL_HEADING**2 + spans * walk) / (1 + spans))
 
 
+HALF = 0.6745
+"""Median of the absolute value of a standard normal: position errors are mostly across the
+track."""
+
+
 def expected_drift(noise: RunNoise, pose: FloatArray, way: FloatArray, way_m: float) -> float:
     """Median position error [m] after `way_m`, by a run's noise, over all parts of the poses (n, 3)
     of that length; NaN if the run is shorter. O(n) by prefix sums."""
@@ -81,8 +85,7 @@ def expected_drift(noise: RunNoise, pose: FloatArray, way: FloatArray, way_m: fl
     (s0, sx, sy, s2), end = (sums[last] - sums[first]).T, xy[last]
     across = s0 * np.sum(end**2, axis=1) - 2 * (sx * end[:, 0] + sy * end[:, 1]) + s2
     along = noise.along_m_per_sqrt_m**2 * (way[last] - way[first])
-    # Errors of positions are mostly across the track.
-    return MEDIAN_SIGMAS * float(np.median(np.sqrt(np.maximum(across, 0.0) + along)))
+    return HALF * float(np.median(np.sqrt(np.maximum(across, 0.0) + along)))
 
 
 def _stretches(way: FloatArray, way_m: float) -> tuple[IntArray, IntArray]:

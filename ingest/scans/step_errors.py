@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ...topology.arrays import BoolArray, FloatArray, IntArray
-from ...topology.quadratic_forms import MEDIAN_SIGMAS
 from ...topology.se2 import between, compose, inverse, wrap
 from .alignment import Steps
 from .keyframes import KEYFRAMES, Keyframes
@@ -42,7 +41,7 @@ class _Learned:
         out = self
         for _ in range(8):
             off = b - A @ out.terms
-            sigma = max(float(np.median(np.abs(off))) / MEDIAN_SIGMAS, 1e-3)
+            sigma = max(1.4826 * float(np.median(np.abs(off))), 1e-3)
             weighted = (A / (1 + (off / sigma) ** 2)[:, None] / sigma**2).T
             out = _Learned(self.normal + weighted @ A, self.right + weighted @ b)
         return out

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from topobatch.ingest.scans.noise import expected_drift
-from topobatch.topology.quadratic_forms import MEDIAN_SIGMAS
+from topobatch.ingest.scans.noise import HALF, expected_drift
 from topobatch.topology.topomap import RunNoise
 
 NOISE = RunNoise(
@@ -32,5 +31,5 @@ def test_round_a_bend_as_many_drives_say() -> None:
     real = np.stack([(step * f(pose[:-1, 2] + turn / 2)).sum() for f in (np.cos, np.sin)])
     spread = np.sqrt(np.sum((end - real) ** 2, axis=1).mean())
     assert expected_drift(NOISE, pose, way, way[-1] - 1e-9) == pytest.approx(
-        MEDIAN_SIGMAS * spread, rel=0.06
+        HALF * spread, rel=0.06
     )
