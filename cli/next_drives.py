@@ -106,7 +106,8 @@ def nothing_worth(
         "nobody drove is likely to show that two sites are one place"
     )
     if len(result.components) == 1:
-        why = "there is one site: nothing is left to join"
+        alone = "site" if result.components[0].is_site else "run"
+        why = f"there is one {alone}: nothing is left to join"
     why = _not_to_settle(result, place, about) or why
     ways: dict[str, dict[int, None]] = {}
     for branch in left:
