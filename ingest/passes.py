@@ -12,7 +12,7 @@ from ..topology.arrays import BoolArray, FloatArray, IntArray
 from ..topology.circular import cluster_angles
 from ..topology.columns import take
 from ..topology.odometry import Odometry
-from ..topology.passes import ONE_WAY_RAD, Passes, nearest_branch
+from ..topology.passes import Passes, nearest_branch
 from ..topology.ragged import Ragged
 from ..topology.run import Detections, ScanPasses
 from ..topology.se2 import apply, wrap
@@ -29,7 +29,8 @@ class PassSettings:
     """Distance driven in a silence that ends a pass."""
     jump_m: float = 0.8
     """A detection with its centre farther than this from the previous one begins a new pass."""
-
+    cluster_gap_rad: float = 0.3
+    """Branch readings farther apart than this belong to different branches."""
     least_support: float = 0.5
     """Share of a pass's messages that must report a branch."""
     least_messages_share: float = 0.12
@@ -164,7 +165,7 @@ def _cluster_branches(
 
     A branch counts if enough of the messages report it; the most frequent one always does.
     """
-    clusters = cluster_angles(heading, group, ONE_WAY_RAD)
+    clusters = cluster_angles(heading, group, PASSES.cluster_gap_rad)
     share = clusters.votes(message) / messages[clusters.owner]
     keep = clusters.well_seen(share, PASSES.least_support)
     return Ragged.by_owner(clusters.owner[keep], clusters.mean[keep], len(messages))

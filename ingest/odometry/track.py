@@ -9,7 +9,7 @@ import numpy as np
 from ...topology.arrays import BoolArray, FloatArray, IntArray
 from ...topology.odometry import Odometry
 from ...topology.se2 import wrap
-from .jumps import JUMPS, spikes, times, without_jumps
+from .jumps import spikes, times, without_jumps
 
 SECOND_NS = 10**9
 """A second in nanoseconds."""
@@ -25,9 +25,9 @@ class TrackSettings:
     A step is a teleport if it is long (teleport_min_m; as a rotation, teleport_min_rad), faster
     than robots drive indoors (teleport_min_speed_m_per_s, teleport_min_turn_rad_per_s) and
     teleport_speed_factor times faster than this robot elsewhere. A step onto exactly the origin is
-    a reset if it is as large as a jump (`JumpSettings`), because a robot may stand there. A gap is
-    at least gap_periods of the usual period, and gap_min_s; a clock that goes back by more than
-    gap_min_s was set, by less it jitters.
+    a reset if it is longer than reset_min_m or turns by more than reset_min_rad, because a robot
+    may stand there. A gap is at least gap_periods of the usual period, and gap_min_s; a clock that
+    goes back by more than gap_min_s was set, by less it jitters.
     """
 
     teleport_min_m: float = 0.5
@@ -35,7 +35,8 @@ class TrackSettings:
     teleport_speed_factor: float = 5.0
     teleport_min_speed_m_per_s: float = 3.0
     teleport_min_turn_rad_per_s: float = 6.0
-
+    reset_min_m: float = 0.1
+    reset_min_rad: float = 0.1
     gap_periods: float = 20.0
     gap_min_s: float = 1.0
 
@@ -183,7 +184,7 @@ def _teleports(time_ns: IntArray, pose: FloatArray) -> BoolArray:
     turn: FloatArray = np.abs(wrap(np.diff(pose[:, 2])))
     duration = np.diff(time_ns) / SECOND_NS
     zero = ~pose[1:].any(axis=1)
-    away = (way > JUMPS.least_m) | (turn > JUMPS.least_rad)
+    away = (way > TRACK.reset_min_m) | (turn > TRACK.reset_min_rad)
     reset = zero & away
     long_step = (way > TRACK.teleport_min_m) | (turn > TRACK.teleport_min_rad)
     if not (long_step | reset).any():
