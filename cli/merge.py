@@ -266,9 +266,10 @@ def _document(place: Workspace, result: MergeResult) -> dict[str, Any]:
 def _warnings(result: MergeResult) -> Iterator[str]:
     from ..merge.robust.entries import doubt
 
+    home = result.home
     yield from map(str, result.info.get("warnings") or ())
     for pair in result.verdicts:
-        if pair.locked == "same" and result.home[pair.a] != result.home[pair.b]:
+        if pair.locked == "same" and home[pair.a] != home[pair.b]:
             yield f"{pair.a} and {pair.b} are not joined: {pair.reason}"
         if pair.accepted_by == "lock" and (why := doubt(pair)):
             yield f"{pair.a} and {pair.b} are joined by a lock; by their maps {why}"

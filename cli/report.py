@@ -143,11 +143,11 @@ def _decisions(
     kept = kept_results(place, settings)
     merge = Merge.of(result, maps.__getitem__, settings, place.locks(), kept)
     chosen = [*open_, *merged][:MOST_EXPLAINED]
-    out = {}
+    home, out = result.component_of, {}
     for done, v in enumerate(chosen):
         advance(done, f"{done} of {counted(len(chosen), 'pair')}", "explaining")
         decision = explain(merge, v.a, v.b)
         between = (c for c in changed if c.sure and c.differs_for(v.a, v.b))
-        notes = (c.words(result.component_of[v.a].name)[0] for c in between)
+        notes = (c.words(home[v.a].name)[0] for c in between)
         out[v.a, v.b] = replace(decision, notes=(*decision.notes, *notes))
     return out

@@ -141,15 +141,15 @@ def _joining(result: MergeResult, site: SiteOf, wanted: Collection[int]) -> Iter
     join them; `wanted`: the components of which one is to be among the two."""
     home = result.component_of
     never = [v for v in result.verdicts if v.locked == "never"]
-    apart = [{home[v.a].id, home[v.b].id} for v in never]
+    apart = {frozenset((home[v.a].id, home[v.b].id)) for v in never}
     between: dict[tuple[int, int], list[PairVerdict]] = {}
     for pair in result.verdicts:
         one, two = home[pair.a], home[pair.b]
-        if one.id == two.id or not _is_open(pair):
+        ends = frozenset((one.id, two.id))
+        if one is two or ends in apart or ends.isdisjoint(wanted) or not _is_open(pair):
             continue
         key = sorted((one, two), key=lambda c: (-len(c.poses), c.id))
-        if {one.id, two.id} & {*wanted} and {one.id, two.id} not in apart:
-            between.setdefault((key[0].id, key[1].id), []).append(pair)
+        between.setdefault((key[0].id, key[1].id), []).append(pair)
     members, placed = fused_of(result.fused.members), _placed(result)
     likely = {key: max((_right(p), p.evidence_bits) for p in own) for key, own in between.items()}
     order = sorted(between, key=lambda key: (-likely[key][0], -likely[key][1], key))

@@ -16,10 +16,7 @@ from .arrays import FloatArray
 ONE_SIGMA = erf(1 / sqrt(2))
 """Probability that a normal error lies within one sigma."""
 
-MEDIAN_SIGMAS = NormalDist().inv_cdf(0.75)
-"""Median of the absolute value of a standard normal."""
-
-MEDIAN_CHI2 = MEDIAN_SIGMAS**2
+MEDIAN_CHI2 = NormalDist().inv_cdf(0.75) ** 2
 """Median of χ² with one degree of freedom."""
 
 

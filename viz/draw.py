@@ -137,8 +137,9 @@ def draw_merged(
     draw_frames(canvas, cells, [part.title for part in parts])
     too_many = sites is not None and shown.fused.junctions > MOST_NUMBERED
     numbers = set() if sites is None else _named(drives, changes) if too_many else None
-    if too_many and drives is not None and not drives:
-        numbers = set(fused.branches.owner[~driven_branches(fused)].tolist())
+    undriven = None if drives is None else ~driven_branches(fused)
+    if too_many and undriven is not None and not drives:
+        numbers = set(fused.branches.owner[undriven].tolist())
     several = sum(len(part.component.poses) > 1 for part in parts)
     for part in parts:
         draw_walls(canvas, views[part.component.id], part.cell.T_sheet_map, theme["wall"])
@@ -149,8 +150,9 @@ def draw_merged(
             several=several,
             detailed=sites is not None,
             numbers=numbers,
-            drives=drives,
+            drives=drives or (),
             changes=changes or (),
+            undriven=undriven,
         )
     canvas.finish(_heading(shown, parts, drives, changes, too_many=too_many))
     return canvas

@@ -24,6 +24,7 @@ from ..merge.decision import Decision
 from ..merge.decision_text import weakest_links
 from ..merge.drive import Drive
 from ..merge.result import Component, MergeResult, Standing, of_sites, shown_bits
+from ..topology.driven_branches import driven_branches
 from ..topology.made_from import describe_junctions
 from ..topology.topomap import TopoMap
 from ..topology.wording import counted, legible, listed, to_turning_points, utc
@@ -189,11 +190,11 @@ def _sites(report: Report) -> list[dict[str, Any]]:
     several, alone = _groups(result)
     shown = [*several, *(c for c in alone if c.id in begins or listed_all)]
     largest = sorted(shown, key=lambda c: -len(c.poses))[:MOST_MAPS]
-    out = []
+    sure, undriven, out = _sure_changes(report), ~driven_branches(result.fused), []
     for c in (c for c in shown if c in largest):
         runs, fused = sorted(c.poses), of_sites(result, [c.id]).fused
         maps = {run: report.maps[run] for run in runs if report.as_merged and run in report.maps}
-        plot = site_map(result, c, maps, _sure_changes(report), report.drives)
+        plot = site_map(result, c, maps, changes=sure, drives=report.drives, undriven=undriven)
         wide, high = (r.end - r.start for r in (plot.x_range, plot.y_range))
         out.append(
             {

@@ -21,7 +21,7 @@ from PIL import Image
 from ..merge.change import Change
 from ..merge.drive import Drive
 from ..merge.result import Component, MergeResult, site_views
-from ..topology.arrays import FloatArray
+from ..topology.arrays import BoolArray, FloatArray
 from ..topology.polyline import simplify
 from ..topology.run import Grid
 from ..topology.topomap import TopoMap
@@ -53,11 +53,13 @@ def site_map(
     result: MergeResult,
     own: Component,
     maps: Mapping[str, TopoMap],
+    *,
     changes: Sequence[Change],
     drives: Sequence[Drive],
+    undriven: BoolArray,
 ) -> Any:
     """A figure of one component of a merge, turned upright. maps: of its runs; changes, drives: of
-    all components."""
+    all components; undriven: branches of the merged map that nobody drove (total branches,)."""
     fused = result.fused
     views = site_views(fused, own, maps)
     to_hold = [drive.path for drive in drives if drive.component == own.id]
@@ -66,7 +68,15 @@ def site_map(
     surface = SiteFigure(part.cell.low, part.cell.high, usual_m(fused.length[part.edges]))
     draw_walls(surface, views, part.cell.T_sheet_map, surface.theme.ink, alpha=0.5)
     draw_component(
-        surface, fused, part, several=1, detailed=True, numbers=None, drives=drives, changes=changes
+        surface,
+        fused,
+        part,
+        several=1,
+        detailed=True,
+        numbers=None,
+        drives=drives,
+        changes=changes,
+        undriven=undriven,
     )
     return surface.plot
 

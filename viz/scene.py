@@ -13,7 +13,6 @@ from ..merge.change import Change, ChangeKind, numbered
 from ..merge.drive import Drive
 from ..merge.result import FusedMap
 from ..topology.arrays import BoolArray, FloatArray
-from ..topology.driven_branches import driven_branches
 from ..topology.matching.views import AGREES, CONTRADICTS, SILENT, Compared
 from ..topology.se2 import apply
 from ..topology.topomap import Graph
@@ -101,17 +100,18 @@ def draw_component(
     several: int,
     detailed: bool,
     numbers: Collection[int] | None,
-    drives: Sequence[Drive] | None,
+    drives: Sequence[Drive],
     changes: Sequence[Change],
+    undriven: BoolArray | None,
 ) -> None:
     """Draw a component's corridors as strands of its runs, its junctions and turning points.
 
     several: how many components of several runs are drawn; detailed: whether the frame is drawn,
     and tips say what strands and junctions are, not only whose; numbers: junctions to be numbered,
-    all by default; drives: with a list of them, branches that nobody drove are drawn.
+    all by default; undriven: branches to be drawn as never driven (total branches,).
     """
     T, theme = part.cell.T_sheet_map, surface.theme
-    _bands(surface, fused, part, drives or (), changes)
+    _bands(surface, fused, part, drives, changes)
     runs = sorted(part.component.poses)
     for (run, pens), own in strands(fused, part.edges, surface.pen_m).items():
         key = run if several == 1 else f"{part.component.name}: {run}"
@@ -124,9 +124,9 @@ def draw_component(
                 key="run that is merged with none" if len(runs) == 1 else key,
             ),
         )
-    if drives is not None:
-        free = ~driven_branches(fused) & np.isin(fused.branches.owner, part.vertices)
-        draw_unexplored(surface, fused, T, free)
+    if undriven is not None:
+        inside = np.isin(fused.branches.owner, part.vertices)
+        draw_unexplored(surface, fused, T, undriven & inside)
     kinds = [fused.kind[v] for v in part.vertices.tolist()]
     turned = np.array([kind in TURNED for kind in kinds], bool)
     ends = part.vertices[turned]
@@ -147,7 +147,7 @@ def draw_component(
             tips = [_describe_junction(fused, v) for v in rows.tolist()] if detailed else []
             look = Look(theme[ink], pens, tips=tips, key=f"{what} seen by {by}", marker=marker)
             surface.dots(apply(T, fused.xy[rows]), look)
-    _rings(surface, part, drives or (), changes)
+    _rings(surface, part, drives, changes)
     if detailed:
         draw_frame(surface, part.cell)
     named = [v for v in part.vertices[~turned].tolist() if numbers is None or v in numbers]

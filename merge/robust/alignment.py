@@ -173,14 +173,14 @@ def match_all(
     The map whose content sorts first is searched in: neither the names of runs nor the order of two
     maps change what is found.
     """
-    pairs, ordered = tee(pairs)
-    cases = (_best_hypotheses(*_by_content(a, b), settings) for a, b in ordered)
+    given, ordered = tee((a, _by_content(a, b)) for a, b in pairs)
+    cases = (_best_hypotheses(*both, settings) for _, both in ordered)
     batches = _batches(cases, lambda case: len(case[1]), MATCH.most_pairs)
     results = (
         found for batch in batches for found in _match_batch(batch, settings, thorough=thorough)
     )
-    for (a, b), found in zip(pairs, results, strict=True):
-        yield found if _by_content(a, b)[0] is a else tuple(c.exchanged() for c in found)
+    for (a, (first, _)), found in zip(given, results, strict=True):
+        yield found if first is a else tuple(c.exchanged() for c in found)
 
 
 def _by_content(a: Prepared, b: Prepared) -> tuple[Prepared, Prepared]:
