@@ -23,6 +23,7 @@ from .prepare import Prepared, as_points, prepare
 from .settings import MATCH, RobustSettings
 from .support import NO_SUPPORT, Support, supports
 from .view_evidence import (
+    BEND_SLACK_M,
     JUDGE_PAIRS,
     NO_VIEW_EVIDENCE,
     Overlap,
@@ -411,19 +412,20 @@ def _alike(poses: FloatArray, others: FloatArray) -> bool:
 def _proposed_by_views(
     a: Prepared, b: Prepared, proposed: Sequence[FloatArray], settings: RobustSettings
 ) -> list[tuple[Candidate, FloatArray, Overlap]]:
-    """The candidates at placements T_a_b (3,), each corrected twice by registration of views; with
-    each the poses (n, 3) of b's views in a, and the overlap before the last correction."""
+    """The candidates at placements T_a_b (3,), each corrected by registration of views; with each
+    the poses (n, 3) of b's views in a, bent as drift has bent the maps, and their overlap."""
     seen_a, seen_b = pictured(a.views), pictured(b.views)
-    found: list[Overlap] = []
-    for _ in range(2):
-        placed = [compose(T, seen_b.pose) for T in proposed]
-        found = overlaps(seen_a, seen_b, placed, JUDGE_PAIRS)
-        proposed = [overlap.corrected(T) for T, overlap in zip(proposed, found, strict=True)]
+    poses = [compose(T, seen_b.pose) for T in proposed]
+    found = overlaps(seen_a, seen_b, poses, JUDGE_PAIRS)
+    proposed = [overlap.corrected(T) for T, overlap in zip(proposed, found, strict=True)]
+    for slack_m in BEND_SLACK_M:
+        poses = [overlap.bent(pose) for pose, overlap in zip(poses, found, strict=True)]
+        found = overlaps(seen_a, seen_b, poses, JUDGE_PAIRS, slack_m)
     cases = []
-    for T, overlap in zip(proposed, found, strict=True):
+    for T, pose, overlap in zip(proposed, poses, found, strict=True):
         candidate = _candidate_at(a, b, T, settings)
         if candidate is not None:
-            cases.append((candidate, compose(candidate.transform, seen_b.pose), overlap))
+            cases.append((candidate, pose, overlap))
     return cases
 
 

@@ -16,7 +16,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from ...topology.arrays import BoolArray, FloatArray, IntArray
+from ...topology.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from ...topology.columns import take
 from ...topology.matching.likelihood import BIT
 from ...topology.matching.views import LEAST_SAME, Registered, register
@@ -32,7 +32,7 @@ from ...topology.se2 import (
 from ...topology.views import Views
 from ..wording import AGREES_BITS
 from .settings import MATCH
-from .view_search import CACHED_MAPS, Picture, evenly_spread, pictured, placements
+from .view_search import CACHED_MAPS, SAME_PER_M, Picture, evenly_spread, pictured, placements
 
 NEAR_M = 2.5
 """Largest distance of two views that are registered with each other: they share most of what they
@@ -41,6 +41,12 @@ bits, others lose 1 to 5, and no verdict changes."""
 SLACK_M, SLACK_RAD = 0.8, 0.12
 """Largest error of a placement at a view: 2 sigma of the drift within a map."""
 TURNS = np.linspace(-SLACK_RAD, SLACK_RAD, 5)
+BEND_M = SLACK_M / SAME_PER_M
+"""Distance within which drift stays below `SLACK_M`."""
+BEND_SLACK_M = (3 * SLACK_M, 2 * SLACK_M, SLACK_M)
+"""Largest shift in each round of bending: the first bring parts that drift has moved away within
+reach of the last. Of 16 pairs of runs in a building of long corridors, 130 m each, with scans 1 m
+apart, 8 merge; with the last round alone 5. False placements gain nothing (2,000 pairs)."""
 CELL_M = 8.0
 """Side of the parts of an overlap, each of which counts once. Of places that agree by one false
 seed, 6 to 43 % of others within this distance exceed the null's 99 %, 0 to 28 % beyond."""
@@ -107,7 +113,7 @@ class ViewEvidence:
     @property
     def self_similarity(self) -> float:
         """0 to 1: how far the buildings repeat themselves, by the z of copies; 1 without views."""
-        return _self_similarity(*self.null) if len(self) else 1.0
+        return _self_similarity(float(self.null[0])) if len(self) else 1.0
 
     def exchanged(self) -> ViewEvidence:
         """The same with a and b exchanged."""
@@ -218,23 +224,41 @@ class Overlap:
         return _cell_means(self.cell[chosen], self.informative_z[chosen])
 
     @cached_property
+    def agreement(self) -> FloatArray:
+        """(k,) weight of every registered pose in a rigid fit: 0 for those that do not agree."""
+        return np.clip(self.registration.z - LEAST_Z, 0.0, 2.0)
+
+    @cached_property
     def correction(self) -> FloatArray:
         """(3,) rigid motion from predicted to registered poses that agree; zeros if none do."""
-        weight = np.clip(self.registration.z - LEAST_Z, 0.0, 2.0)
-        total = weight.sum()
-        if total <= 0:
+        if not self.agreement.any():
             return np.zeros(3)
-        za, zb = (pose[:, 0] + 1j * pose[:, 1] for pose in (self.registered, self.predicted))
-        rotation = np.exp(1j * (self.registered[:, 2] - self.predicted[:, 2]))
-        lever = MATCH.place_m**2 * (weight * rotation).sum()
-        sum_a, sum_b, sum_ab = ((weight * z).sum() for z in (za, zb, za * zb.conj()))
-        unit, centre_a, centre_b = rigid_from_sums(total, sum_a, sum_b, sum_ab, lever)
+        unit, centre_a, centre_b = self._motion(self.agreement[None])
         shift = centre_a - unit * centre_b
-        return np.array([shift.real, shift.imag, float(np.angle(unit))])
+        return np.concatenate([shift.real, shift.imag, np.angle(unit)])
 
     def corrected(self, T_a_b: FloatArray) -> FloatArray:
         """The placement (3,) that gave the predicted poses, moved by `correction`."""
         return compose(self.correction, T_a_b)
+
+    def bent(self, poses: FloatArray) -> FloatArray:
+        """The predicted poses (n, 3) of all views, each moved as the registered ones near it are:
+        where drift bends the maps, no rigid motion fits everywhere."""
+        if not self.agreement.any():
+            return poses
+        at = _points(poses)
+        away_m = np.abs(at[:, None] - _points(self.predicted))
+        away_m -= away_m.min(axis=1, keepdims=True)  # no underflow
+        unit, centre_a, centre_b = self._motion(self.agreement * np.exp(-away_m / BEND_M))
+        moved = centre_a + unit * (at - centre_b)
+        return np.column_stack([moved.real, moved.imag, poses[:, 2] + np.angle(unit)])
+
+    def _motion(self, weight: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+        """`rigid_from_sums` from predicted to registered poses, for each row of weights (n, k)."""
+        za, zb = _points(self.registered), _points(self.predicted)
+        rotation = np.exp(1j * (self.registered[:, 2] - self.predicted[:, 2]))
+        sums = (weight @ z for z in (za, zb, za * zb.conj(), MATCH.place_m**2 * rotation))
+        return rigid_from_sums(weight.sum(axis=1), *sums)
 
     @cached_property
     def consistency(self) -> FloatArray:
@@ -250,6 +274,11 @@ class Overlap:
     def consistent_parts(self) -> float:
         """Number of parts that agree on the placement; 0 with fewer parts than `MATCH.fewest`."""
         return float(self.consistency.sum()) if len(self.part_z) >= MATCH.fewest else 0.0
+
+
+def _points(poses: FloatArray) -> ComplexArray:
+    """(n,) positions x + iy of poses (n, 3) [m]."""
+    return np.asarray(poses[:, 0] + 1j * poses[:, 1])
 
 
 def _cell_means(cell: IntArray, values: FloatArray) -> FloatArray:
@@ -342,9 +371,7 @@ def view_evidence(
     # Every part contributes its share, more or less as its z lies above or below the mean.
     slope = (_chance_bits(mean + SLOPE_Z, overlap, null, true) - total) / SLOPE_Z
     bits = (total + slope * (part_z - mean)) / len(part_z)
-    in_copies = [repeats.consistent_parts for repeats in repeats_of_both]
-    in_copies += [other.consistent_parts for other in others]
-    bits += _consistency_bits(overlap, max(in_copies), null)
+    bits += _consistency_bits(overlap, null)
     largest = max(repeats.size for repeats in repeats_of_both)
     repeated = min(max(2.0 - _agreeing_size(part_z) / largest, 0.0), 1.0) if largest > 0 else 0.0
     # If none of n others is as good, the next one is at a rate of .5 / (n + 1) (Jeffreys' prior).
@@ -376,6 +403,8 @@ FALSE, FALSE_COUNT = Level(1.4, 0.5), 5
 """Prior of the mean z of false placements of two maps, from placements with `MATCH.fewest` parts
 and more in five real buildings. It stands in for the placements that are fewer than the count; the
 spread has it with this weight. Placements with fewer parts scatter more and are not used."""
+REPEATED_Z = FALSE.mean + FALSE.sigma
+"""Mean z of copies from which on buildings repeat themselves."""
 LEAST_SIGMA = 0.3
 """Lower bound of its spread: mazes and organic ways have .2 to .3."""
 TRUE, TRUE_OF_RUN = Level(3.3, 0.9), 0.5
@@ -397,7 +426,7 @@ less than revisits of one run. Held to the run's own revisits, simulated runs in
 furnished anew for each of them, lost 7 to 10 bits a pair."""
 TAIL_Z, TAIL_LESS, LEAST_TAIL_Z = 2.7, 0.15, 2.0
 RATE, RATE_MORE = 3.0, 0.7
-MOST_PARTS = 8
+MOST_PARTS = 12
 """The tail of the mean z of false placements of different buildings. A tenth lies above 2.7 with
 pairs in one square of `PLACE_M`, less with more; from there on the density falls by exp(-3 z) with
 one, faster with more, up to MOST_PARTS. From 9,000 placements of 1,360 pairs of maps (four
@@ -409,13 +438,9 @@ and as much against the placement from .6 m on. Of 134 true placements the parts
 the median, of 1,344 false ones with four parts .5 m, with eight and more .75 m. With these bits 1.6
 % of 1,568 pairs of different kinds of building exceed 4 bits by their views, .7 % 6, .3 % 8 and
 none 9.6; without them 1.5, .5, .1 and none. The true ones gain 4 bits in the median."""
-PART_BITS, CHANCE_PARTS = 3.0, 3.0
-"""Evidence of every consistent part beyond CHANCE_PARTS, and beyond those of any copy: another
-placement of the two maps, or of either on itself. Rooms of one size, desks or columns in rows are
-consistent there as well. Of 1,763 false placements of 252 pairs of buildings 24 have more than
-three parts that agree, 2 more than their copies; true ones have four in the median of recordings of
-one floor, seven where furniture was moved. With `CONSISTENT_BITS` a part has 3.2 bits at most:
-within `CONSISTENT_M` lie .74 of the parts of true and .07 of those of false ones."""
+CHANCE_PARTS = 3.0
+"""Number of consistent parts that false placements reach by chance: of 1,763 of 252 pairs of
+buildings 24 have more; true ones have four in the median of recordings of one floor."""
 UNSEEN_BITS, UNSEEN_Z = 0.7, (2.0, 3.0)
 """Upper bound of the evidence of a junction against a placement, where the mean z of its part of
 the overlap reaches the second z; unbounded up to the first. Of the junctions that only one of two
@@ -447,40 +472,35 @@ def _true_level(revisit_z: FloatArray) -> Level:
 def _chance_bits(mean: float, overlap: Overlap, null: Level, true: Level) -> float:
     """Evidence of the mean z of an overlap against a placement of different buildings [bits].
 
-    Buildings that repeat themselves resemble others of their kind, and buildings without repeats do
-    not: the tail shifts with the level of copies. A low level shifts it only for placements with
-    `MATCH.fewest` parts and more, as those that the level is estimated from. With one or two parts
-    false placements in halls would reach 8.7 and 13 bits (1,600 pairs of buildings), 6.6 without.
+    False placements agree as much as other placements of the two maps do: the tail shifts with the
+    level of copies. A low level shifts it only for placements with `MATCH.fewest` parts and more,
+    as those that the level is estimated from. With one or two parts false placements in halls would
+    reach 8.7 and 13 bits (1,600 pairs of buildings), 6.6 without.
     """
     further_places = min(overlap.places, MOST_PARTS) - 1
     rate = RATE + RATE_MORE * further_places
     tail = max(TAIL_Z - TAIL_LESS * further_places, LEAST_TAIL_Z)
-    level = null.mean - null.sigma
-    tail += max(level - FALSE.mean, 0.0)
-    if len(overlap.part_z) >= MATCH.fewest:
-        tail += min(level - FALSE.mean + FALSE.sigma, 0.0)
+    shift = null.mean - REPEATED_Z
+    tail += max(shift, 0.0) + min(shift, 0.0) * min(max((overlap.places - 2) / 2, 0.0), 1.0)
     later = Level(min(true.mean, TRUE_LATER.mean), TRUE_LATER.sigma)
     chance = float(np.log(0.1 * rate)) - rate * max(mean - tail, 0.0)
     return _ratio_bits(_true_log_density(mean, later), chance)
 
 
-def _consistency_bits(overlap: Overlap, consistent_in_copies: float, null: Level) -> FloatArray:
+def _consistency_bits(overlap: Overlap, null: Level) -> FloatArray:
     """(c,) evidence that the parts agree on one placement, against chance [bits]: parts laid over
     another building move independently.
 
-    consistent_in_copies: most consistent parts of any copy. Where the buildings repeat themselves,
-    parts of others of their kind agree as well, and agreement is no evidence.
+    Where the buildings repeat themselves, parts of others of their kind agree as well, and
+    agreement is no evidence.
     """
     bits = CONSISTENT_BITS * overlap.consistency
-    share = np.maximum(overlap.consistency, 0.0)
-    beyond = max(overlap.consistent_parts - max(consistent_in_copies, CHANCE_PARTS), 0.0)
-    bits += PART_BITS * beyond * share / max(float(share.sum()), 1.0)
-    return np.where(bits > 0, bits * (1.0 - _self_similarity(null.mean, null.sigma)), bits)
+    return np.where(bits > 0, bits * (1.0 - _self_similarity(null.mean)), bits)
 
 
-def _self_similarity(mean: float, sigma: float) -> float:
-    """0 to 1: how far buildings repeat themselves, by the distribution of z of copies."""
-    return min(max((mean - sigma - FALSE.mean) / FALSE.sigma, 0.0), 1.0)
+def _self_similarity(mean: float) -> float:
+    """0 to 1: how far buildings repeat themselves, by the mean z of copies."""
+    return min(max((mean - REPEATED_Z) / FALSE.sigma, 0.0), 1.0)
 
 
 def _copy_bits(mean: float, null: Level, true: Level) -> float:
@@ -511,11 +531,10 @@ def _ratio_bits(true: float, false: float) -> float:
 @dataclass(frozen=True, slots=True)
 class Repeats:
     """How a map repeats itself. z: (r,) mean z of its placements on other parts of itself; size:
-    the largest `_agreeing_size` of any; consistent_parts: the most of any (`Overlap`)."""
+    the largest `_agreeing_size` of any."""
 
     z: FloatArray
     size: float
-    consistent_parts: float
 
 
 @lru_cache(maxsize=CACHED_MAPS)
@@ -523,19 +542,15 @@ def repeats(views: Views) -> Repeats:
     """The placements of a map on other parts of itself that its views propose. Views that a
     rotation leaves within their own part do not count: a room may look the same rotated."""
     a = pictured(views)
-    moved, consistent_parts = [], 0.0
-    refined = refine(a, a, placements(a, a), JUDGE_PAIRS)
-    # Consistency is that of the refined placement, as for two maps.
-    judged = overlaps(a, a, [compose(T, a.pose) for T, _ in refined], JUDGE_PAIRS)
-    for (T, overlap), refined_overlap in zip(refined, judged, strict=True):
+    moved = []
+    for T, overlap in refine(a, a, placements(a, a), JUDGE_PAIRS):
         away = np.abs(a.place[overlap.first] - a.place[overlap.second])
         turned = abs(T[2]) >= MATCH.turn_rad
         if turned or np.hypot(T[0], T[1]) >= MATCH.place_m:
             moved.append(overlap.informative_part_z_of(away >= (CELL_M if turned else 0.0)))
-            consistent_parts = max(consistent_parts, refined_overlap.consistent_parts)
     moved = [part_z for part_z in moved if len(part_z)]
     z = np.array([part_z.mean() for part_z in moved if len(part_z) >= MATCH.fewest])
-    return Repeats(z, max(map(_agreeing_size, moved), default=0.0), consistent_parts)
+    return Repeats(z, max(map(_agreeing_size, moved), default=0.0))
 
 
 def _agreeing_size(part_z: FloatArray) -> float:
