@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -267,9 +267,9 @@ def assess(
 def assess_all(pairs: Sequence[Matched]) -> list[Assessment]:
     """Verdicts on pairs from their candidate alignments.
 
-    merged: enough evidence against chance, not a copy, and a lead over every other placement and
-    the mirror image. ambiguous: beyond chance, but one of the three is missing, or too few
-    junctions agree. unrelated: nothing beyond chance.
+    merged: enough evidence against chance, not a copy, and a lead over every other placement; it
+    must also lead the mirror image (`held_against_image`). ambiguous: beyond chance, but one of the
+    three is missing, or too few junctions agree. unrelated: nothing beyond chance.
 
     The test for copies is applied where the building has corridors of few lengths, to alignments no
     larger than repetitions within the maps, whose lengths differ by more than noise, and where the
@@ -340,8 +340,6 @@ def _assess(
     if first.chance_bits >= threshold.need_bits:
         larger = size_sigmas(a, b, best.corridors) > threshold.settings.size_sigmas
         why = OTHER_SIZE if larger and not walls_fit(a, b, best) else why
-    if not why and best.image_bits > best.bits - MATCH.lead_bits:
-        why = MIRRORED
     return Assessment(
         verdict=Verdict.AMBIGUOUS if why else Verdict.MERGED,
         need_bits=threshold.need_bits,
@@ -349,6 +347,15 @@ def _assess(
         why=why,
         lead_bits=MATCH.contested_bits if no_worse else MATCH.lead_bits,
     )
+
+
+def held_against_image(assessment: Assessment, image_bits: float) -> Assessment:
+    """The assessment of a pair that would be merged, given the evidence of its mirror image
+    (`alignment.image_bits`)."""
+    best = assessment.best
+    if best is None or image_bits <= best.bits - MATCH.lead_bits:
+        return assessment
+    return replace(assessment, verdict=Verdict.AMBIGUOUS, why=MIRRORED)
 
 
 def _combined_copy_bits(lengths: float, views: float) -> float:
@@ -377,8 +384,6 @@ def _missing(first: Weighed, margin: float | None, threshold: Threshold) -> str:
         return MAYBE_COPY
     if first.chance_bits < threshold.need_bits:
         return "chance offers as much too often"
-    if best.rival:
-        return MAYBE_COPY
     if best.witnesses - best.conflicts.junctions < threshold.settings.min_matches:
         fewest = f"{threshold.settings.min_matches} junctions at least must agree"
         return (
