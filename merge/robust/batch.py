@@ -112,8 +112,8 @@ class Batch:
         self, candidates: Iterable[Candidate], T_i_j: FloatArray, j: int
     ) -> Candidate | None:
         """The first candidate that places run j as T_i_j does; None if there is none."""
-        place = self.matcher.places[j]
-        return next((c for c in candidates if agrees(as_alignment(c), T_i_j, place)), None)
+        b = self.matcher.prepared[j]
+        return next((c for c in candidates if agrees(as_alignment(c), T_i_j, b)), None)
 
     def same_place_bits(self, pairs: Sequence[Pair]) -> list[float]:
         """Evidence that the alignments of merged pairs are not copies [bits], without those of
@@ -143,16 +143,16 @@ class Batch:
     ) -> dict[Pair, Refusal]:
         """Match the pairs that were screened out and now overlap, or were joined by their
         components. Returns the refusals of those merged elsewhere."""
-        places = self.matcher.places
-        if len(self.summaries) == pairs_of(len(places)):
+        maps = self.matcher.prepared
+        if len(self.summaries) == pairs_of(len(maps)):
             return {}
-        overlapping = {*overlapping_pairs(components, places), *joined}
+        overlapping = {*overlapping_pairs(components, maps), *joined}
         unmatched = sorted(pair for pair in overlapping if pair not in self.summaries)
         self.match(_rows(unmatched))
         refused = {}
         for i, j in unmatched:
             best = self.verdicts[i, j].best if self.verdicts[i, j].accepted else None
-            if best is not None and not agrees(best, components.relative(i, j), places[j]):
+            if best is not None and not agrees(best, components.relative(i, j), maps[j]):
                 refused[i, j] = ELSEWHERE
         return refused
 

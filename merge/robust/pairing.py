@@ -214,7 +214,6 @@ class Pairwise:
         self.settings = settings
         self.means = means or Means()
         self.prepared = [prepare(m) for m in maps]
-        self.places = [m.xy[:, 0] + 1j * m.xy[:, 1] for m in maps]
         self.digests = [self.means.kept.digest(m) for m in maps]
         self._row = {digest: k for k, digest in enumerate(self.digests)}
 
