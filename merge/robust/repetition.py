@@ -15,7 +15,6 @@ import numpy as np
 from ...topology.arrays import FloatArray, IntArray
 from ...topology.columns import joined
 from ...topology.matching.likelihood import BIT, LIKELIHOOD
-from ...topology.quadratic_forms import MEDIAN_CHI2
 from .atlas import Atlas
 from .branches import unpaired_branches
 from .prepare import Prepared
@@ -175,23 +174,6 @@ def size_sigmas(a: Prepared, b: Prepared, corridors: IntArray) -> float:
     """
     mean, variance = size_difference(a, b, corridors)
     return abs(mean) / float(np.sqrt(a.noise.scale**2 + b.noise.scale**2 + variance))
-
-
-def fits_by_noise(a: Prepared, b: Prepared, corridors: IntArray) -> float:
-    """Probability that two measurements of one place differ as much in their lengths (χ²).
-
-    corridors: (c, 2) matched directed rows, none of which differs by far, or it would not match.
-    The noise is at least that of their median: where a map is bent more than it states, all
-    corridors differ, while copies differ in few.
-    """
-    from scipy.special import chdtrc
-
-    lengths = _Lengths.of(a, b, corridors, 0.0)
-    squares = lengths.d2 / lengths.noise
-    if len(squares) == 0:
-        return 1.0
-    inflation = np.median(squares) / MEDIAN_CHI2
-    return float(chdtrc(len(squares), squares.sum() / max(inflation, 1.0)))
 
 
 def size_difference(a: Prepared, b: Prepared, corridors: IntArray) -> tuple[float, float]:

@@ -86,11 +86,6 @@ class MatchSettings:
     .58 or more; of 25 pairs of floors of one plan, each junction moved by up to .3 m, 23 have less
     than half, and so do two sites that share a block (`benchmarks/adversaries.py`). It costs no
     right pair of the suites."""
-    misfit_rate: float = LIKELIHOOD.outlier_share
-    """An alignment may be a copy if the lengths of one place differ by as much in less than this
-    share of cases. Of 115 right pairs of two suites the least have .21, of 174 by earlier code .12
-    (noise is stated with caution for matching); a copy of 19 junctions in an office, which nothing
-    contradicts, has .01, by earlier code .005."""
     uniform_bits: float = 0.75
     """Bits of a length (-log2 of the density [1/m] of equal corridors) up to which the building is
     assumed to repeat itself; from twice as many on it is not. 90 % of pairs of maps have: rows -.3
