@@ -213,12 +213,13 @@ def _diverging(grown: Grown, searched: BoolArray) -> tuple[IntArray, IntArray, I
 
 
 def _elsewhere_bits(grown: Grown) -> FloatArray:
-    """(l,) weight of a corridor that leads elsewhere: that of the fault which explains it."""
+    """(l,) weight of a corridor that leads elsewhere."""
     fault = sum(
         MATCH.fault_floor + (atlas.miss_rate + atlas.phantom_rate)[of]
         for atlas, of in ((grown.lanes.a, grown.lanes.of_a), (grown.lanes.b, grown.lanes.of_b))
     )
-    return np.asarray(np.clip(-np.log2(np.asarray(fault)), 0.0, MATCH.most_bits))
+    bits = np.log2(MATCH.elsewhere_share / np.asarray(fault))
+    return np.minimum(np.maximum(bits, 0.0), MATCH.most_bits)
 
 
 def _predicted_points(

@@ -97,6 +97,10 @@ class MatchSettings:
     """Two junctions whose branches contradict each other by this much are not matched. Tried: with
     6 two of seven corridors that were closed between two runs are no longer reported (the junctions
     at their ends are no longer matched); without a bound, some pairs of tunnels are lost."""
+    elsewhere_share: float = 0.25
+    """Share of the corridors driven by both runs at a falsely matched junction, by the same branch,
+    that lead elsewhere (mazes .45, tiles .28, offices .12, on maps made by
+    `benchmarks/observed.py`)."""
 
     length_sigmas: float = LIKELIHOOD.gate_sigmas
     turn_rad: float = 0.35
