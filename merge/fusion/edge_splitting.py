@@ -100,7 +100,7 @@ def _chains(
 ) -> Iterator[tuple[int, ...]]:
     """Chains of two or more other corridors between the ends of corridor c, number `row`, by its
     branches there: through at most `DEEPEST` places, and little longer than c."""
-    longest = 1.2 * c.length + 1.0
+    longest = c.length + allowed_m(c.length, 2 * c.sigma)  # of parts as uncertain as it
     stack: list[tuple[int, int | None, float, tuple[int, ...]]] = [(c.u, None, 0.0, ())]
     while stack:
         place, arrived, length, chain = stack.pop()
