@@ -19,7 +19,7 @@ from ...topology.se2 import compose, inverse, wrap
 from ..result import Alignment, PairVerdict
 from .alignment import Candidate, moved
 from .prepare import Prepared, as_points
-from .repetition import size_difference
+from .repetition import size_sigmas
 from .settings import MATCH
 from .verdict import OTHER_SIZE
 
@@ -236,32 +236,14 @@ class Across:
     def _size_sigmas(
         self, components: Components, pair: Pair, alignments: Mapping[Pair, Alignment]
     ) -> float:
-        """The difference in size of two components, in standard deviations.
-
-        Generalised least squares: each pair measures the difference with the error of its lengths
-        and the scale errors of its two runs, which other pairs share.
-        """
-        pairs = sorted(alignments)
-        corridors = (_common_corridors(*self._maps(p), alignments[p].matched) for p in pairs)
-        maps = map(self._maps, pairs)
-        differences = [size_difference(a, b, c) for (a, b), c in zip(maps, corridors, strict=True)]
-        measured = [k for k, (_, variance) in enumerate(differences) if np.isfinite(variance)]
-        if not measured:
-            return 0.0
-        difference, variance = np.array(differences)[measured].T
-        first = components.head[pair[0]]
-        sign = np.array([1.0 if components.head[pairs[k][0]] == first else -1.0 for k in measured])
-        runs, column = np.unique(np.array(pairs)[measured], return_inverse=True)
-        scale = np.array([self.prepared[run].noise.scale for run in runs.tolist()])
-        shared = np.zeros((len(measured), len(runs)))
-        column = column.reshape(-1, 2)
-        shared[np.arange(len(measured)), column[:, 0]] = sign * scale[column[:, 0]]
-        shared[np.arange(len(measured)), column[:, 1]] = -sign * scale[column[:, 1]]
-        weight = np.linalg.solve(np.diag(variance) + shared @ shared.T, np.ones(len(measured)))
-        return float(abs(weight @ (sign * difference)) / np.sqrt(weight.sum()))
-
-    def _maps(self, pair: Pair) -> tuple[Prepared, Prepared]:
-        return self.prepared[pair[0]], self.prepared[pair[1]]
+        """The difference in size of two components, in standard deviations."""
+        first, oriented = components.head[pair[0]], []
+        for (i, j), alignment in sorted(alignments.items()):
+            a, b = self.prepared[i], self.prepared[j]
+            corridors = _common_corridors(a, b, alignment.matched)
+            is_first = components.head[i] == first
+            oriented.append((a, b, corridors) if is_first else (b, a, corridors[:, ::-1]))
+        return size_sigmas(oriented)
 
 
 def _common_corridors(a: Prepared, b: Prepared, matched: IntArray) -> IntArray:

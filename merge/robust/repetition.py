@@ -165,14 +165,24 @@ def _mean_fault_rate(m: Prepared) -> float:
     return float(np.mean(m.fault_rate + 1 - m.confidence))
 
 
-def size_sigmas(a: Prepared, b: Prepared, corridors: IntArray) -> float:
-    """The difference in size of two maps over all corridors, in standard deviations.
+def size_sigmas(pairs: Sequence[tuple[Prepared, Prepared, IntArray]]) -> float:
+    """The difference in size of two places, in standard deviations, over pairs of their maps with
+    the corridors that each has in common: (c, 2) matched directed rows.
 
     A copy of another size is larger throughout. Single corridors do not show this: each may be off
-    by its odometry's scale. corridors: (c, 2) matched directed rows.
+    by its odometry's scale. Generalised least squares: each pair measures the difference with the
+    error of its lengths and the scale errors of its two maps, which other pairs share.
     """
-    mean, variance = size_difference(a, b, corridors)
-    return abs(mean) / float(np.sqrt(a.noise.scale**2 + b.noise.scale**2 + variance))
+    measured = [(a, b, *size_difference(a, b, corridors)) for a, b, corridors in pairs]
+    measured = [row for row in measured if np.isfinite(row[3])]
+    if not measured:
+        return 0.0
+    difference, variance = np.array([row[2:] for row in measured]).T
+    maps = {id(m): m for a, b, *_ in measured for m in (a, b)}.values()
+    sign = np.array([[float(m is a) - float(m is b) for m in maps] for a, b, *_ in measured])
+    shared = sign * [m.noise.scale for m in maps]
+    weight = np.linalg.solve(np.diag(variance) + shared @ shared.T, np.ones(len(measured)))
+    return float(abs(weight @ difference) / np.sqrt(weight.sum()))
 
 
 def size_difference(a: Prepared, b: Prepared, corridors: IntArray) -> tuple[float, float]:

@@ -325,7 +325,7 @@ def _assess(
     no_worse = contested or any(_contests(other, first) for other in others[:1])
     why = NO_WORSE if contested else why
     if first.chance_bits >= threshold.need_bits:
-        larger = size_sigmas(a, b, best.corridors) > threshold.settings.size_sigmas
+        larger = size_sigmas([(a, b, best.corridors)]) > threshold.settings.size_sigmas
         why = OTHER_SIZE if larger and not walls_fit(a, b, best) else why
     return Assessment(
         verdict=Verdict.AMBIGUOUS if why else Verdict.MERGED,
