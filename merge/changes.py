@@ -178,8 +178,9 @@ class _Seen:
         """Probability that a run drove through a junction so many times without detecting it: at
         least the share of visits at which the runs that know it missed it."""
         measured = self.maps[run].measured
-        unseen = max(_unseen_share(self.maps[r], ids) for r, ids in self.nodes[node].items())
-        rate = _fault_rate(max(measured.miss_rate, unseen))
+        known = self.nodes[node].items()  # none where only a saved map shows it
+        unseen = (_unseen_share(self.maps[r], ids) for r, ids in known)
+        rate = _fault_rate(max([measured.miss_rate, *unseen]))
         floor = _fault_rate(measured.branch_fault_rate) ** 2
         return max(rate ** max(passes, 1), floor)
 
