@@ -28,13 +28,14 @@ from scipy.spatial import cKDTree
 
 from ..topology.arrays import FloatArray, IntArray
 from ..topology.digits import METRES, rounded
+from ..topology.matching.likelihood import LIKELIHOOD
 from ..topology.matching.structure import padded_branches
 from ..topology.polyline import leaving_rad, way_of
 from ..topology.se2 import wrap
 from ..topology.topomap import TopoMap
 from .change import Change, ChangeKind, Witness
 from .component_map import component_map
-from .fusion.joint_graph import JOINT, measured_turn
+from .fusion.joint_graph import measured_turn
 from .result import MergeResult
 
 
@@ -146,12 +147,11 @@ class _Seen:
 
     def saw(self, run: str, node: int, heading: float) -> bool:
         """Whether a run saw a branch at a fused vertex. heading: in the component's frame [rad]."""
-        gate = JOINT.branch_gate_rad
+        gate = LIKELIHOOD.branch_gate_rad
         for place, v in [(k, v) for k in self.places(run, node) for v in self.nodes[k][run]]:
             own = self._headings[run][v]
-            turn, count = measured_turn(
-                self._fused[place][None], own[None], np.array([self._turn[run]]), gate
-            )
+            expected = np.array([self._turn[run]])
+            turn, count = measured_turn(self._fused[place][None], own[None], expected)
             local = own + (turn[0] if count[0] else self._turn[run])
             if np.any(np.abs(wrap(local[~np.isnan(local)] - heading)) <= gate):
                 return True
@@ -178,8 +178,9 @@ class _Seen:
         """Probability that a run drove through a junction so many times without detecting it: at
         least the share of visits at which the runs that know it missed it."""
         measured = self.maps[run].measured
-        unseen = max(_unseen_share(self.maps[r], ids) for r, ids in self.nodes[node].items())
-        rate = _fault_rate(max(measured.miss_rate, unseen))
+        known = self.nodes[node].items()  # none where only a saved map shows it
+        unseen = (_unseen_share(self.maps[r], ids) for r, ids in known)
+        rate = _fault_rate(max([measured.miss_rate, *unseen]))
         floor = _fault_rate(measured.branch_fault_rate) ** 2
         return max(rate ** max(passes, 1), floor)
 

@@ -17,7 +17,7 @@ from ..topology.wording import MOST_NAMES, counted, folded
 from ..topology.wording import listed as names_listed
 from .decision import AGAINST, LINKS, Decision, Placement, Term, TermKind
 from .locks import DISCARDED, discarded
-from .result import PairVerdict, Verdict, shown_bits
+from .result import PairVerdict, Standing, Verdict, shown_bits
 from .robust.settings import MATCH
 from .wording import AGREES_BITS, SAME_PLACE, decimals, describe_agreement, describe_bits
 
@@ -277,11 +277,10 @@ def needs(decision: Decision) -> str:
 
 
 def advice(decision: Decision) -> str:
-    """What would settle an ambiguous pair; "" for others, and for pairs that other runs join, whose
-    own placement does not count."""
+    """What would settle a pair that is open; "" for others."""
     pair = decision.pair
-    open_ = pair.verdict is Verdict.AMBIGUOUS and not pair.accepted and not pair.through
-    return f"To settle it: {pair.advice}" if open_ and pair.advice else ""
+    is_open = pair.standing is Standing.AMBIGUOUS
+    return f"To settle it: {pair.advice}" if is_open and pair.advice else ""
 
 
 _ADVISED = re.compile(r"the corridor that (.+) (?:drove|shows) from its junction (\d+) to (\d+) ")

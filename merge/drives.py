@@ -31,7 +31,7 @@ from ..topology.digits import METRES, rounded
 from ..topology.driven_branches import driven_branches
 from ..topology.se2 import apply, compose, inverse
 from .drive import Drive, Stop, Undriven
-from .result import Component, FusedMap, MergeResult, PairVerdict, Verdict, fused_of, pairs_of
+from .result import Component, FusedMap, MergeResult, PairVerdict, Standing, fused_of, pairs_of
 from .robust.settings import MATCH
 
 
@@ -163,9 +163,8 @@ def _joining(result: MergeResult, site: SiteOf, wanted: Collection[int]) -> Iter
 
 
 def _is_open(pair: PairVerdict) -> bool:
-    """Whether a drive could settle a pair: it has a placement, and no person decided."""
-    ambiguous = pair.verdict is Verdict.AMBIGUOUS and not pair.accepted
-    return ambiguous and pair.best is not None and pair.locked is None
+    """Whether a drive could settle a pair: it is open, and no person decided."""
+    return pair.standing is Standing.AMBIGUOUS and pair.locked is None
 
 
 def _right(pair: PairVerdict) -> float:

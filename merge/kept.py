@@ -37,8 +37,8 @@ class Kind(StrEnum):
 
     PAIR = "pairs of maps"
     ITSELF = "maps with themselves"
-    THOROUGH = "pairs to be merged"
-    """Two maps matched with all hypotheses beyond chance, and with the mirror image."""
+    MIRRORED = "pairs to be merged with mirror images"
+    """One map matched with the mirror image of the other."""
     COMPONENT = "components"
     """Several maps fused into one."""
 

@@ -129,7 +129,7 @@ def _matched(
     both = np.array([n.centre_m**2 for n in noise]) @ share
     heading_b, heading_a = padded_branches(b)[v], padded_branches(a)[u]
     expected = np.full(len(pairs), float(wrap(turn_rad)))
-    turn, count = measured_turn(heading_b, heading_a, expected, JOINT.branch_gate_rad)
+    turn, count = measured_turn(heading_b, heading_a, expected)
     spread = np.array([n.branch_rad**2 for n in noise]) @ share / np.maximum(count, 1)
     turning = sum(n.heading_rad_per_sqrt_m**2 for n in noise)
     length = float(np.median(np.concatenate([a.length, b.length, [1.0]])))

@@ -12,21 +12,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...topology.passes import NO_BRANCH
-from .edges import CORRIDOR, Corridor, fuse_corridors
+from .edges import Corridor, allowed_m, fuse_corridors
 
-
-@dataclass(frozen=True, slots=True)
-class PassageSettings:
-    """When a chain of corridors is the same as one long corridor."""
-
-    junction_m: float = 0.3
-    """Standard deviation of a corridor's length against the sum of its parts, per missed
-    junction."""
-    deepest: int = 4
-    """Limit on junctions missed in one corridor."""
-
-
-PASSAGE = PassageSettings()
+DEEPEST = 4
+"""Limit on junctions missed in one corridor, of the time to look for chains. Tried: 100, no
+change."""
 
 
 def split_at_places(corridors: list[Corridor]) -> list[Corridor]:
@@ -98,10 +88,9 @@ def _chain(row: int, corridors: Sequence[Corridor], ways_from: Leaving) -> tuple
     best: tuple[float, tuple[int, ...]] = (np.inf, ())
     for chain in _chains(c, row, corridors, ways_from):
         parts = [corridors[k] for k in chain]
-        missed_variance = (len(parts) - 1) * PASSAGE.junction_m**2
-        sigma = float(np.sqrt(sum(p.sigma**2 for p in parts) + c.sigma**2 + missed_variance))
+        sigma = float(np.sqrt(sum(p.sigma**2 for p in parts) + c.sigma**2))
         difference = abs(sum(p.length for p in parts) - c.length)
-        if difference <= CORRIDOR.allowed_m(c.length, sigma):
+        if difference <= allowed_m(c.length, sigma):
             best = min(best, (difference, chain))
     return best[1]
 
@@ -110,8 +99,8 @@ def _chains(
     c: Corridor, row: int, corridors: Sequence[Corridor], ways_from: Leaving
 ) -> Iterator[tuple[int, ...]]:
     """Chains of two or more other corridors between the ends of corridor c, number `row`, by its
-    branches there: through at most `PASSAGE.deepest` places, and little longer than c."""
-    longest = 1.2 * c.length + 1.0
+    branches there: through at most `DEEPEST` places, and little longer than c."""
+    longest = c.length + allowed_m(c.length, 2 * c.sigma)  # of parts as uncertain as it
     stack: list[tuple[int, int | None, float, tuple[int, ...]]] = [(c.u, None, 0.0, ())]
     while stack:
         place, arrived, length, chain = stack.pop()
@@ -124,5 +113,5 @@ def _chains(
             if (step.place, step.branch) == (c.v, c.branch_v):
                 if len(extended) > 1:
                     yield extended
-            elif len(extended) <= PASSAGE.deepest:
+            elif len(extended) <= DEEPEST:
                 stack.append((step.place, step.branch, total, extended))

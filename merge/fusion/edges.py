@@ -13,6 +13,7 @@ import numpy as np
 
 from ...topology.arrays import FloatArray, IntArray
 from ...topology.corridor_lengths import LEAST_M, length_variances
+from ...topology.matching.likelihood import LIKELIHOOD
 from ...topology.passes import NO_BRANCH
 from ...topology.polyline import way_of
 from ...topology.ragged import parted
@@ -20,25 +21,15 @@ from ...topology.se2 import apply
 from ...topology.topomap import TopoMap
 from .vertex_partition import Pool
 
-
-@dataclass(frozen=True, slots=True)
-class CorridorSettings:
-    """When corridors agree in length."""
-
-    agree_sigmas: float = 4.0
-    """Lengths that differ by at most this many standard deviations agree."""
-    agree_m: float = 0.4
-    """Lengths that differ by at most `agree_m + agree_share · length` agree as well."""
-    agree_share: float = 0.05
-    """See `agree_m`."""
-
-    def allowed_m(self, length: float, sigma: float = 0.0) -> float:
-        """Largest difference of agreeing lengths [m]. length: of the shorter corridor; sigma: of
-        the difference."""
-        return max(self.agree_m + self.agree_share * length, self.agree_sigmas * sigma)
+AGREE_SHARE = 0.05
+"""Lengths that differ by this share of themselves agree, however exact they claim to be. Without it
+a corridor of two runs stands twice in two of 34 merges."""
 
 
-CORRIDOR = CorridorSettings()
+def allowed_m(length: float, sigma: float) -> float:
+    """Largest difference of agreeing lengths [m]. length: of the shorter corridor; sigma: of the
+    difference."""
+    return max(AGREE_SHARE * length, LIKELIHOOD.gate_sigmas * sigma)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -169,7 +160,7 @@ def same_corridor(bundle: list[Corridor], c: Corridor) -> bool:
     if known and not any(known):
         return False
     x, y, sigma = _mean_length(bundle), c.length, float(np.hypot(lead.sigma, c.sigma))
-    return abs(x - y) <= CORRIDOR.allowed_m(min(x, y), sigma)
+    return abs(x - y) <= allowed_m(min(x, y), sigma)
 
 
 def _weights(bundle: list[Corridor]) -> FloatArray:

@@ -19,7 +19,6 @@ from ...topology.topomap import TopoMap
 from ..codec import from_bytes, to_bytes
 from ..kept import Kept, Kind, digested
 from ..result import Component, FusedMap, PairVerdict, Spread, by_run
-from .data_association import coincident
 from .edge_splitting import split_at_places
 from .edges import Corridor, corridors_of, fuse_corridors
 from .joint_graph import (
@@ -33,7 +32,7 @@ from .joint_graph import (
 )
 from .places import Place, fused_branches, fused_places
 from .uncertainty import fused_sigmas
-from .vertex_partition import Groups, Pool, matched_groups
+from .vertex_partition import Groups, Pool, coincident, matched_groups
 
 
 def fuse(
@@ -148,10 +147,9 @@ def _fuse_coincident(
     if len(pool.maps) < 2:
         return optimise_poses(pool, groups.labels(), start)
     within, across = measured_within(pool), measured_across(pool, inside)
-    matched = [(v.a, v.b) for v in inside]
     while True:
         joint = optimise_poses(pool, groups.labels(), start, within, across)
-        fused = [groups.join(u, v) for u, v in coincident(pool, groups, joint.pose, matched)]
+        fused = [groups.join(u, v) for u, v in coincident(pool, groups, joint.pose)]
         if not any(fused):
             return joint
 

@@ -45,8 +45,6 @@ class JointSettings:
     min_heading_rad: float = 0.01
     """Lower bound of the uncertainty of a rotation between two maps, by branches of one junction,
     and of that of corridors about the grid."""
-    branch_gate_rad: float = 0.6
-    """Gate on the branches of one place in different maps."""
     bridge_m: float = 1.0
     """Standard deviation of the relative position of parts of one map that no corridor connects."""
     bridge_rad: float = 0.1
@@ -275,10 +273,8 @@ def _place_factors(pool: Pool, label: IntArray, guess: FloatArray) -> Measuremen
     noise = [m.measured for m in pool.maps]
     centre = centre_sigma(pool)
     branch_sigma = np.array([x.branch_rad for x in noise])[pool.run] / np.sqrt(visits)
-    turn, count = measured_turn(
-        heading[source], heading[target], wrap(guess[target, 2] - guess[source, 2]),
-        JOINT.branch_gate_rad,
-    )  # fmt: skip
+    expected = wrap(guess[target, 2] - guess[source, 2])
+    turn, count = measured_turn(heading[source], heading[target], expected)
     position = np.hypot(centre[source], centre[target])
     turn_sigma = np.hypot(branch_sigma[source], branch_sigma[target]) / np.sqrt(
         np.maximum(count, 1)
@@ -336,7 +332,7 @@ def grid_sigma(off_rad: FloatArray, spread_rad: FloatArray, run: IntArray) -> fl
 
 
 def measured_turn(
-    heading_a: FloatArray, heading_b: FloatArray, expected_rad: FloatArray, gate_rad: float
+    heading_a: FloatArray, heading_b: FloatArray, expected_rad: FloatArray
 ) -> tuple[FloatArray, IntArray]:
     """(k,) rotations of frames b in frames a by the branches of one place in both, and numbers of
     branches used: the mean difference a - b over mutually nearest branches within the gate.
@@ -347,7 +343,7 @@ def measured_turn(
         return expected_rad.copy(), np.zeros(len(expected_rad), np.int64)
     unit_a = unit_headings(heading_a)
     unit_b = unit_headings(heading_b + expected_rad[:, None])
-    pairs = mutual_nearest(unit_a, unit_b, float(np.cos(gate_rad)))
+    pairs = mutual_nearest(unit_a, unit_b)
     difference = np.angle(unit_a * np.take_along_axis(unit_b, pairs.nearest, axis=1).conj())
     count = pairs.paired.sum(axis=1)
     mean = np.where(pairs.paired, difference, 0.0).sum(axis=1) / np.maximum(count, 1)

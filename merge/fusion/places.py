@@ -13,7 +13,7 @@ from ...topology.matching.branches import mutual_nearest
 from ...topology.passes import NO_BRANCH
 from ...topology.ragged import parted
 from ...topology.se2 import wrap
-from .joint_graph import JOINT, pass_counts
+from .joint_graph import pass_counts
 from .vertex_partition import Pool
 
 MIN_BRANCH_SHARE = 0.3
@@ -98,7 +98,7 @@ def _clusters(
         weight = float(visits[row]) / max(m.noise.branch_rad, 1e-3) ** 2
         centres = np.array([_mean(c) for c in clusters])
         new_units, cluster_units = (np.exp(1j * angles)[None] for angles in (headings, centres))
-        pairs = mutual_nearest(new_units, cluster_units, float(np.cos(JOINT.branch_gate_rad)))
+        pairs = mutual_nearest(new_units, cluster_units)
         paired, nearest = pairs.paired[0], pairs.nearest[0]
         for branch, heading in enumerate(headings.tolist()):
             sighting = _BranchReading(heading, weight, row, branch)

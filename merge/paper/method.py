@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import combinations
 from math import log2
 
@@ -168,19 +169,16 @@ def _judged(
     executor: Executor | None,
 ) -> Iterator[PairVerdict]:
     """Verdicts in the order of the pairs; with an executor in batches, to keep messages few."""
+    judged = partial(_judge_pair, settings=settings, pairs=len(pairs))
     if executor is None:
-        yield from (judge(a, b, settings, len(pairs)) for a, b in pairs)
-        return
-    size = max(1, min(32, len(pairs) // 64))
-    parts = (pairs[k : k + size] for k in range(0, len(pairs), size))
-    for batch in [executor.submit(_judge_all, part, settings, len(pairs)) for part in parts]:
-        yield from batch.result()
+        return map(judged, pairs)
+    return executor.map(judged, pairs, chunksize=max(1, min(32, len(pairs) // 64)))
 
 
-def _judge_all(
-    part: Sequence[tuple[PreparedMap, PreparedMap]], settings: PaperSettings, pairs: int
-) -> list[PairVerdict]:
-    return [judge(a, b, settings, pairs) for a, b in part]
+def _judge_pair(
+    pair: tuple[PreparedMap, PreparedMap], settings: PaperSettings, pairs: int
+) -> PairVerdict:
+    return judge(*pair, settings, pairs)
 
 
 def judge(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from itertools import compress, pairwise, tee
+from itertools import pairwise, tee
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -17,7 +17,7 @@ from ...topology.se2 import apply, compose, fit_groups, fit_rigid, inverse, wrap
 from .atlas import Atlas, Lanes, cuts
 from .conflicts import NO_CONFLICTS, Conflicts, conflicts
 from .growth import Grown, grow, ungrown
-from .links import Links, Seed, candidate_links, seeds
+from .links import Seed, candidate_links, seeds
 from .mirror import mirrored
 from .prepare import Prepared, as_points, prepare
 from .settings import MATCH, RobustSettings
@@ -47,11 +47,9 @@ class Candidate:
     transform: (3,) T_a_b; a, b: (k,) matched vertices; turn: (k,) local rotation b → a at each, as
     unit numbers; support, conflicts: evidence for and against; tested_bits: log2 of the number of
     hypotheses tested; bits: log2 odds against chance, by support, conflicts, tested_bits and views;
-    rmse_m: of the matched junctions; rival: whether it grew from a hypothesis that is not to be
-    merged (`Seed`); searched: whether contradictions were looked for, which is done where the
-    support is beyond chance or both maps have views; views: evidence of the views; by_views:
-    whether views proposed it; image_bits: evidence of the best alignment of a with the mirror image
-    of b, -inf without one or if it was not looked for.
+    rmse_m: of the matched junctions; searched: whether contradictions were looked for, which is
+    done where the support is beyond chance or both maps have views; views: evidence of the views;
+    by_views: whether views proposed it.
     """
 
     transform: FloatArray
@@ -63,11 +61,9 @@ class Candidate:
     tested_bits: float
     bits: float
     rmse_m: float
-    rival: bool = False
     searched: bool = True
     views: ViewEvidence = NO_VIEW_EVIDENCE
     by_views: bool = False
-    image_bits: float = -np.inf
 
     def __len__(self) -> int:
         return len(self.a)
@@ -151,37 +147,40 @@ class Hypotheses(NamedTuple):
     tested: int
 
 
-def match(
-    a: Prepared, b: Prepared, settings: RobustSettings, *, thorough: bool = False
-) -> tuple[Candidate, ...]:
+def match(a: Prepared, b: Prepared, settings: RobustSettings) -> tuple[Candidate, ...]:
     """Candidate alignments of two maps, best first, without duplicates of one placement. Pure.
 
     The steps of the paper with certainty replaced by odds: compatible corridors (§2.1), connected
     hypotheses (§2.3), transforms (§3.1), clusters grown again geometrically (§5).
-
-    Where copies abound, many hypotheses are beyond chance before they are grown. Only the best few
-    can be merged. The others take time, and are grown as rivals where these yield nothing.
-    thorough: as before two maps are merged: rivals are grown, and the mirror image of b is matched.
     """
-    return next(match_all([(a, b)], settings, thorough=thorough))
+    return next(match_all([(a, b)], settings))
 
 
 def match_all(
-    pairs: Iterable[tuple[Prepared, Prepared]], settings: RobustSettings, *, thorough: bool = False
+    pairs: Iterable[tuple[Prepared, Prepared]], settings: RobustSettings
 ) -> Iterator[tuple[Candidate, ...]]:
-    """`match` for many pairs, each as if it were alone, in batches of `most_pairs` links.
+    """`match` for many pairs, each as if it were alone.
 
     The map whose content sorts first is searched in: neither the names of runs nor the order of two
     maps change what is found.
     """
     given, ordered = tee((a, _by_content(a, b)) for a, b in pairs)
-    cases = (_best_hypotheses(*both, settings) for _, both in ordered)
-    batches = _batches(cases, lambda case: len(case[1]), MATCH.most_pairs)
-    results = (
-        found for batch in batches for found in _match_batch(batch, settings, thorough=thorough)
-    )
-    for (a, (first, _)), found in zip(given, results, strict=True):
-        yield found if first is a else tuple(c.exchanged() for c in found)
+    cases, to_evaluate = tee(_best_hypotheses(*both, settings) for _, both in ordered)
+    found = evaluate_all(to_evaluate, settings)
+    for (a, (first, _)), case, by_junctions in zip(given, cases, found, strict=True):
+        candidates = _with_views(case.a, case.b, by_junctions, settings)
+        yield candidates if first is a else tuple(c.exchanged() for c in candidates)
+
+
+def image_bits(
+    pairs: Iterable[tuple[Prepared, Prepared]], settings: RobustSettings
+) -> Iterator[float]:
+    """For each pair of maps the evidence of the best alignment of one with the mirror image of the
+    other; -inf without one."""
+    ordered = (_by_content(a, b) for a, b in pairs)
+    cases = (_best_hypotheses(a, _image(b), settings) for a, b in ordered)
+    for found in evaluate_all(cases, settings):
+        yield max((c.bits for c in found), default=-np.inf)
 
 
 def _by_content(a: Prepared, b: Prepared) -> tuple[Prepared, Prepared]:
@@ -192,12 +191,19 @@ def _by_content(a: Prepared, b: Prepared) -> tuple[Prepared, Prepared]:
     return (a, b) if content_a <= content_b else (b, a)
 
 
-def _best_hypotheses(
-    a: Prepared, b: Prepared, settings: RobustSettings
-) -> tuple[Hypotheses, Links]:
-    """Two maps with their best hypotheses, and the links that these were chosen from."""
+def _best_hypotheses(a: Prepared, b: Prepared, settings: RobustSettings) -> Hypotheses:
     links = candidate_links(a, b)
-    return Hypotheses(a, b, seeds(a, b, links, settings.hypotheses), len(links)), links
+    return Hypotheses(a, b, seeds(a, b, links, settings.hypotheses), len(links))
+
+
+@lru_cache(maxsize=CACHED_MAPS)
+def _image(m: Prepared) -> Prepared:
+    """The mirror image of a map, without views."""
+    return prepare(mirrored(m.topomap))
+
+
+def _both_have_views(a: Prepared, b: Prepared) -> bool:
+    return len(a.views) > 0 and len(b.views) > 0
 
 
 def _batches(items: Iterable[T], size: Callable[[T], int], most: int) -> Iterator[list[T]]:
@@ -211,45 +217,6 @@ def _batches(items: Iterable[T], size: Callable[[T], int], most: int) -> Iterato
             yield batch
             batch, total = [], 0
     yield batch
-
-
-def _match_batch(
-    batch: Sequence[tuple[Hypotheses, Links]], settings: RobustSettings, *, thorough: bool
-) -> Iterator[tuple[Candidate, ...]]:
-    best = list(evaluate_all((case for case, _ in batch), settings))
-    needs_rivals = [thorough or not any(c.bits > MATCH.lead_bits for c in found) for found in best]
-    rivals = evaluate_all(
-        (_rivals(case, links, settings) for case, links in compress(batch, needs_rivals)), settings
-    )
-    mirrored_cases = (
-        _best_hypotheses(case.a, _image(case.b), settings)[0] for case, _ in batch if thorough
-    )
-    images = evaluate_all(mirrored_cases, settings)
-    for (case, _), found, has_rivals in zip(batch, best, needs_rivals, strict=True):
-        candidates = _distinct([*found, *next(rivals)], case.b) if has_rivals else found
-        candidates = _with_views(case.a, case.b, candidates, settings)
-        if thorough:
-            bits = max((c.bits for c in next(images)), default=-np.inf)
-            candidates = tuple(replace(c, image_bits=bits) for c in candidates)
-        yield candidates
-
-
-@lru_cache(maxsize=CACHED_MAPS)
-def _image(m: Prepared) -> Prepared:
-    """The mirror image of a map, without views."""
-    return prepare(mirrored(m.topomap))
-
-
-def _both_have_views(a: Prepared, b: Prepared) -> bool:
-    return len(a.views) > 0 and len(b.views) > 0
-
-
-def _rivals(case: Hypotheses, links: Links, settings: RobustSettings) -> Hypotheses:
-    """The other hypotheses beyond chance. They are not merged: of so many, one fits too easily."""
-    a, b, best, tested = case
-    beyond = float(np.log2(tested + 1.0)) + MATCH.lead_bits
-    known = seeds(a, b, links, settings.hypotheses, rival_bits=beyond, first=best)
-    return case._replace(seeds=[seed for seed in known if seed.rival])
 
 
 def evaluate_all(
@@ -272,20 +239,20 @@ def _evaluate_batch(
         tested_bits = np.log2(np.array([case.tested for case in cases]) + 1.0)
         have_views = np.array([_both_have_views(case.a, case.b) for case in cases])
         candidates = _candidates(grown, tested_bits[owner], search=have_views[owner])
-        for k, seed, candidate in zip(owner.tolist(), all_seeds, candidates, strict=True):
+        for k, candidate in zip(owner.tolist(), candidates, strict=True):
             if candidate is not None:
-                found[k].append(replace(candidate, rival=seed.rival))
+                found[k].append(candidate)
     for case, candidates_of_case in zip(cases, found, strict=True):
         yield _distinct(candidates_of_case, case.b)
 
 
 def _distinct(candidates: Iterable[Candidate], b: Prepared) -> tuple[Candidate, ...]:
-    """Candidates, best first; for each placement the best one that is not a rival."""
+    """The best candidate for each placement, best first."""
     kept: list[Candidate] = []
-    for candidate in sorted(candidates, key=lambda c: (c.rival, _rank(c))):
+    for candidate in sorted(candidates, key=_rank):
         if not any(same_placement(candidate, other, b) for other in kept):
             kept.append(candidate)
-    return tuple(sorted(kept, key=_rank))
+    return tuple(kept)
 
 
 def _rank(c: Candidate) -> tuple[float, list[float]]:

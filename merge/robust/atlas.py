@@ -20,7 +20,9 @@ from ...topology.ragged import numbered
 from .prepare import CorridorsByEnds, Prepared
 
 OF_VERTICES = ("z", "count", "observations", "fault_rate", "descriptor", "confidence")
-OF_CORRIDORS = ("length", "sagitta", "variance", "traversals", "rarity")
+OF_CORRIDORS = (
+    *("length", "sagitta", "variance", "traversals", "rarity", "angle", "end_information"),
+)
 """Arrays of `Prepared` without row numbers: those of vertices, and of directed corridors."""
 
 

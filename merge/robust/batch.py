@@ -3,7 +3,7 @@ pair by itself."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -21,7 +21,7 @@ from .repetition import sameness
 from .screening import pairs_to_match
 from .settings import MATCH, RobustSettings
 from .thresholds import ThresholdOf, thresholds
-from .verdict import Assessment, Matched, assess_all
+from .verdict import Assessment, Matched, assess_all, held_against_image
 
 
 @dataclass(eq=False)
@@ -72,24 +72,21 @@ class Batch:
         return thresholds(prepared, settings, against_chance, self.matcher.with_themselves())
 
     def assessments(self, pairs: Sequence[Pair]) -> dict[Pair, Assessment]:
-        """Assessments of pairs by their two maps alone. Those that would be merged are assessed
-        again, against every other hypothesis beyond chance and the mirror image."""
+        """Assessments of pairs by their two maps alone. Those that would be merged are held against
+        their mirror images."""
         candidates = self.candidates(pairs)
-        assessments = self._assess({pair: candidates.get(pair, ()) for pair in pairs})
+        cases = [
+            Matched(*self.prepared(pair), candidates.get(pair, ()), self.threshold(pair))
+            for pair in pairs
+        ]
+        assessments = dict(zip(pairs, assess_all(cases), strict=True))
         for pair, assessment in assessments.items():
             faint = self.summaries[pair].faint or assessment.faint
             assessments[pair] = replace(assessment, faint=faint, discarded=pair in self.discarded)
         merged = [pair for pair, found in assessments.items() if found.verdict is Verdict.MERGED]
-        thorough = self.matcher.thorough(_rows(merged))
-        return assessments | self._assess(dict(zip(merged, thorough, strict=True)))
-
-    def _assess(self, candidates: Mapping[Pair, tuple[Candidate, ...]]) -> dict[Pair, Assessment]:
-        """The assessment of each pair by the given candidates."""
-        cases = [
-            Matched(*self.prepared(pair), found, self.threshold(pair))
-            for pair, found in candidates.items()
-        ]
-        return dict(zip(candidates, assess_all(cases), strict=True))
+        for pair, bits in zip(merged, self.matcher.image_bits(_rows(merged)), strict=True):
+            assessments[pair] = held_against_image(assessments[pair], bits)
+        return assessments
 
     def candidates(self, pairs: Iterable[Pair]) -> dict[Pair, tuple[Candidate, ...]]:
         """The candidates of the pairs; pairs without any beyond chance are left out."""
@@ -115,8 +112,8 @@ class Batch:
         self, candidates: Iterable[Candidate], T_i_j: FloatArray, j: int
     ) -> Candidate | None:
         """The first candidate that places run j as T_i_j does; None if there is none."""
-        place = self.matcher.places[j]
-        return next((c for c in candidates if agrees(as_alignment(c), T_i_j, place)), None)
+        b = self.matcher.prepared[j]
+        return next((c for c in candidates if agrees(as_alignment(c), T_i_j, b)), None)
 
     def same_place_bits(self, pairs: Sequence[Pair]) -> list[float]:
         """Evidence that the alignments of merged pairs are not copies [bits], without those of
@@ -146,16 +143,16 @@ class Batch:
     ) -> dict[Pair, Refusal]:
         """Match the pairs that were screened out and now overlap, or were joined by their
         components. Returns the refusals of those merged elsewhere."""
-        places = self.matcher.places
-        if len(self.summaries) == pairs_of(len(places)):
+        maps = self.matcher.prepared
+        if len(self.summaries) == pairs_of(len(maps)):
             return {}
-        overlapping = {*overlapping_pairs(components, places), *joined}
+        overlapping = {*overlapping_pairs(components, maps), *joined}
         unmatched = sorted(pair for pair in overlapping if pair not in self.summaries)
         self.match(_rows(unmatched))
         refused = {}
         for i, j in unmatched:
             best = self.verdicts[i, j].best if self.verdicts[i, j].accepted else None
-            if best is not None and not agrees(best, components.relative(i, j), places[j]):
+            if best is not None and not agrees(best, components.relative(i, j), maps[j]):
                 refused[i, j] = ELSEWHERE
         return refused
 

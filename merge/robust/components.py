@@ -14,12 +14,12 @@ from itertools import product
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ...topology.arrays import ComplexArray, FloatArray, IntArray
+from ...topology.arrays import FloatArray, IntArray
 from ...topology.se2 import compose, inverse, wrap
 from ..result import Alignment, PairVerdict
 from .alignment import Candidate, moved
 from .prepare import Prepared, as_points
-from .repetition import size_difference
+from .repetition import size_sigmas
 from .settings import MATCH
 from .verdict import OTHER_SIZE
 
@@ -89,15 +89,15 @@ def as_alignment(c: Candidate) -> Alignment:
     return Alignment(c.transform, c.bits, np.column_stack([c.a, c.b]), c.rmse_m)
 
 
-def agrees(alignment: Alignment, T_a_b: FloatArray, b: ComplexArray) -> bool:
+def agrees(alignment: Alignment, T_a_b: FloatArray, b: Prepared) -> bool:
     """Whether an alignment places b as T_a_b does, within the drift of chained transforms.
 
-    b: (n,) junctions of b, x + iy [m]. The two are compared at the centroid of the matched
-    junctions, or of all, where views alone match and the overlap may lie anywhere in b.
+    The two are compared at the centroid of the matched junctions, or of all, where views alone
+    match and the overlap may lie anywhere in b.
     """
-    middle = b.mean() if len(b) else np.complex128(0)
-    centre, reach = middle, float(np.abs(b - middle).max(initial=0.0))
-    matched = b[alignment.matched[:, 1]]
+    middle = b.z.mean() if len(b) else np.complex128(0)
+    centre, reach = middle, float(np.abs(b.z - middle).max(initial=0.0))
+    matched = b.z[alignment.matched[:, 1]]
     if len(matched):
         centre = matched.mean()
         reach = abs(complex(centre - middle))
@@ -111,27 +111,25 @@ def join_all(
     components: Components,
     strongest_first: Sequence[Pair],
     best: Mapping[Pair, Alignment],
-    places: Sequence[ComplexArray],
-    runs: Sequence[str],
+    maps: Sequence[Prepared],
     *,
     refusal: Callable[[Components, Pair], Refusal | None] = lambda components, pair: None,
 ) -> dict[Pair, Refusal]:
     """Join pairs in order of strength. Returns the pairs that were refused, with the reason.
 
-    best: alignment of each pair; places: of every run its junctions, x + iy [m]; runs: names of all
-    runs; refusal: further objections to joining the components of a pair. A pair that closes a
-    cycle must agree with the stronger pairs around it. Else it is refused.
+    best: alignment of each pair; refusal: further objections to joining the components of a pair. A
+    pair that closes a cycle must agree with the stronger pairs around it. Else it is refused.
     """
     refused: dict[Pair, Refusal] = {}
     for i, j in strongest_first:
         alignment = best[i, j]
         if components.together(i, j):
-            if not agrees(alignment, components.relative(i, j), places[j]):
+            if not agrees(alignment, components.relative(i, j), maps[j]):
                 refused[i, j] = ELSEWHERE
             continue
         kept_apart = components.forbidden(i, j)
         if kept_apart is not None:
-            x, y = (runs[k] for k in kept_apart)
+            x, y = (maps[k].run for k in kept_apart)
             refused[i, j] = Refusal(
                 f"joining them would bring {x} and {y} together, which are locked apart",
                 f"if {x} and {y} share places after all, clear their lock",
@@ -144,15 +142,15 @@ def join_all(
     return refused
 
 
-def overlapping_pairs(components: Components, places: Sequence[ComplexArray]) -> list[Pair]:
+def overlapping_pairs(components: Components, maps: Sequence[Prepared]) -> list[Pair]:
     """Pairs i < j of one component with at least `MATCH.fewest` junctions within `MATCH.place_m` of
-    each other in the component's frame. places: of every run its junctions, x + iy [m]."""
+    each other in the component's frame."""
     pairs: list[Pair] = []
     for members in components.members.values():
         if len(members) < 2:
             continue
         runs = sorted(members)
-        placed = [moved(components.pose[k], places[k]) for k in runs]
+        placed = [moved(components.pose[k], maps[k].z) for k in runs]
         owner = np.arange(len(runs)).repeat([len(z) for z in placed])
         near = cKDTree(as_points(np.concatenate(placed))).query_pairs(
             MATCH.place_m, output_type="ndarray"
@@ -180,14 +178,13 @@ COPY_TOGETHER = Refusal(
 class Across:
     """The test for copies of two components, by all pairs of runs between them.
 
-    prepared: the maps; places: their junctions, x + iy [m]; verdicts: on pairs by their two maps,
-    without those that a lock names; joins: alignments by which pairs would be joined;
-    same_place_bits: gives the evidence that pairs of these are no copies; locked: pairs joined by a
-    lock; most_sigmas: largest accepted difference in size.
+    prepared: the maps; verdicts: on pairs by their two maps, without those that a lock names;
+    joins: alignments by which pairs would be joined; same_place_bits: gives the evidence that pairs
+    of these are no copies; locked: pairs joined by a lock; most_sigmas: largest accepted difference
+    in size.
     """
 
     prepared: Sequence[Prepared]
-    places: Sequence[ComplexArray]
     verdicts: Mapping[Pair, PairVerdict]
     joins: Mapping[Pair, Alignment]
     same_place_bits: Callable[[Sequence[Pair]], Sequence[float]]
@@ -232,39 +229,21 @@ class Across:
                 continue
             T_u_j = compose(components.relative(u, i), self.joins[pair].transform)
             T_u_v = compose(T_u_j, components.relative(j, v))
-            if agrees(alignment, T_u_v if u < v else inverse(T_u_v), self.places[row[1]]):
+            if agrees(alignment, T_u_v if u < v else inverse(T_u_v), self.prepared[row[1]]):
                 agreeing[row] = alignment
         return dict(sorted(agreeing.items()))
 
     def _size_sigmas(
         self, components: Components, pair: Pair, alignments: Mapping[Pair, Alignment]
     ) -> float:
-        """The difference in size of two components, in standard deviations.
-
-        Generalised least squares: each pair measures the difference with the error of its lengths
-        and the scale errors of its two runs, which other pairs share.
-        """
-        pairs = sorted(alignments)
-        corridors = (_common_corridors(*self._maps(p), alignments[p].matched) for p in pairs)
-        maps = map(self._maps, pairs)
-        differences = [size_difference(a, b, c) for (a, b), c in zip(maps, corridors, strict=True)]
-        measured = [k for k, (_, variance) in enumerate(differences) if np.isfinite(variance)]
-        if not measured:
-            return 0.0
-        difference, variance = np.array(differences)[measured].T
-        first = components.head[pair[0]]
-        sign = np.array([1.0 if components.head[pairs[k][0]] == first else -1.0 for k in measured])
-        runs, column = np.unique(np.array(pairs)[measured], return_inverse=True)
-        scale = np.array([self.prepared[run].noise.scale for run in runs.tolist()])
-        shared = np.zeros((len(measured), len(runs)))
-        column = column.reshape(-1, 2)
-        shared[np.arange(len(measured)), column[:, 0]] = sign * scale[column[:, 0]]
-        shared[np.arange(len(measured)), column[:, 1]] = -sign * scale[column[:, 1]]
-        weight = np.linalg.solve(np.diag(variance) + shared @ shared.T, np.ones(len(measured)))
-        return float(abs(weight @ (sign * difference)) / np.sqrt(weight.sum()))
-
-    def _maps(self, pair: Pair) -> tuple[Prepared, Prepared]:
-        return self.prepared[pair[0]], self.prepared[pair[1]]
+        """The difference in size of two components, in standard deviations."""
+        first, oriented = components.head[pair[0]], []
+        for (i, j), alignment in sorted(alignments.items()):
+            a, b = self.prepared[i], self.prepared[j]
+            corridors = _common_corridors(a, b, alignment.matched)
+            is_first = components.head[i] == first
+            oriented.append((a, b, corridors) if is_first else (b, a, corridors[:, ::-1]))
+        return size_sigmas(oriented)
 
 
 def _common_corridors(a: Prepared, b: Prepared, matched: IntArray) -> IntArray:

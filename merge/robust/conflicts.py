@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from itertools import pairwise, starmap
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -129,23 +129,20 @@ _NONE = Unseen(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))
 NO_CONFLICTS = Conflicts(_NONE, _NONE, np.zeros((0, 2), np.int64), 0.0)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _AllUnseen:
-    """`Unseen` vertices of all lanes, sorted by lane, numbered as in the atlases."""
+AllUnseen = tuple[IntArray, Unseen]
+"""Lane of each vertex, ascending, and the vertices of all lanes, numbered as in the atlases."""
 
-    lane: IntArray
-    vertex: IntArray
-    edge: IntArray
-    bits: FloatArray
 
-    def by_lane(self, first_vertex: IntArray, first_edge: IntArray) -> list[Unseen]:
-        """Those of each lane with a weight above 0, numbered as in its maps. first_vertex,
-        first_edge: (l,) first rows of its two maps in the atlases."""
-        positive = take(self, self.bits.nonzero()[0])
-        vertex = positive.vertex - first_vertex[positive.lane]
-        edge = positive.edge - first_edge[positive.lane]
-        slices = starmap(slice, pairwise(cuts(positive.lane, len(first_vertex))))
-        return [Unseen(vertex[k], edge[k], positive.bits[k]) for k in slices]
+def _by_lane(unseen: AllUnseen, first_vertex: IntArray, first_edge: IntArray) -> list[Unseen]:
+    """Those of each lane with a weight above 0, numbered as in its maps. first_vertex, first_edge:
+    (l,) first rows of its two maps in the atlases."""
+    positive = unseen[1].bits.nonzero()[0]
+    lane, found = unseen[0][positive], take(unseen[1], positive)
+    found = replace(
+        found, vertex=found.vertex - first_vertex[lane], edge=found.edge - first_edge[lane]
+    )
+    first = cuts(lane, len(first_vertex))
+    return [take(found, slice(*ends)) for ends in pairwise(first)]
 
 
 def conflicts(grown: Grown, searched: BoolArray) -> list[Conflicts]:
@@ -159,8 +156,8 @@ def conflicts(grown: Grown, searched: BoolArray) -> list[Conflicts]:
     unseen_b, unseen_a = _unseen_b(grown, near), _unseen_a(grown, near)
     lane, leave_a, leave_b = _elsewhere(grown, searched, unseen_b, unseen_a)
     corridor_a, corridor_b = lanes.a.corridor[lanes.of_a], lanes.b.corridor[lanes.of_b]
-    in_a = unseen_b.by_lane(lanes.b.vertex[lanes.of_b], corridor_a)
-    in_b = unseen_a.by_lane(lanes.a.vertex[lanes.of_a], corridor_b)
+    in_a = _by_lane(unseen_b, lanes.b.vertex[lanes.of_b], corridor_a)
+    in_b = _by_lane(unseen_a, lanes.a.vertex[lanes.of_a], corridor_b)
     elsewhere = np.column_stack([leave_a - corridor_a[lane], leave_b - corridor_b[lane]])
     weight, first = _elsewhere_bits(grown).tolist(), cuts(lane, len(lanes))
     found = [NO_CONFLICTS] * len(lanes)
@@ -170,7 +167,7 @@ def conflicts(grown: Grown, searched: BoolArray) -> list[Conflicts]:
 
 
 def _elsewhere(
-    grown: Grown, searched: BoolArray, unseen_b: _AllUnseen, unseen_a: _AllUnseen
+    grown: Grown, searched: BoolArray, unseen_b: AllUnseen, unseen_a: AllUnseen
 ) -> tuple[IntArray, IntArray, IntArray]:
     """Corridors that leave matched junctions by one branch and lead to different ones: lane,
     directed rows of both maps. Left out are those that an undetected junction explains, inside them
@@ -179,17 +176,19 @@ def _elsewhere(
     lane, leave_a, leave_b = _diverging(grown, searched)
     end_a, end_b = a.head[leave_a], b.head[leave_b]
 
-    def explained(rows: IntArray, unseen: _AllUnseen, by: IntArray, count: int) -> BoolArray:
+    (lane_b, in_a), (lane_a, in_b) = unseen_b, unseen_a
+
+    def explained(rows: IntArray, lane_by: IntArray, by: IntArray, count: int) -> BoolArray:
         """Whether rows of the corridors' lanes are among `by`, both below `count`."""
-        return np.isin(lane * count + rows, unseen.lane * count + by)
+        return np.isin(lane * count + rows, lane_by * count + by)
 
     vertices, corridors = max(len(a), len(b)), max(len(a.tail), len(b.tail))
-    left_a, passed_a = (np.minimum(row, a.reverse[row]) for row in (leave_a, unseen_b.edge))
-    left_b, passed_b = (np.minimum(row, b.reverse[row]) for row in (leave_b, unseen_a.edge))
-    left_out = explained(left_a, unseen_b, passed_a, corridors)
-    left_out |= explained(end_a, unseen_a, unseen_a.vertex, vertices)
-    left_out |= explained(left_b, unseen_a, passed_b, corridors)
-    left_out |= explained(end_b, unseen_b, unseen_b.vertex, vertices)
+    left_a, passed_a = (np.minimum(row, a.reverse[row]) for row in (leave_a, in_a.edge))
+    left_b, passed_b = (np.minimum(row, b.reverse[row]) for row in (leave_b, in_b.edge))
+    left_out = explained(left_a, lane_b, passed_a, corridors)
+    left_out |= explained(end_a, lane_a, in_b.vertex, vertices)
+    left_out |= explained(left_b, lane_a, passed_b, corridors)
+    left_out |= explained(end_b, lane_b, in_a.vertex, vertices)
     of_a, of_b = (lanes.a, lanes.of_a[lane]), (lanes.b, lanes.of_b[lane])
     left_out |= _unreported_bends(of_a, of_b, end_b) | _unreported_bends(of_b, of_a, end_a)
     return lane[~left_out], leave_a[~left_out], leave_b[~left_out]
@@ -266,7 +265,7 @@ def _unreported_bends(
     return np.asarray(bend & ~blind[0].shows_bends[blind[1]])
 
 
-def _unseen_b(grown: Grown, near: BoolArray) -> _AllUnseen:
+def _unseen_b(grown: Grown, near: BoolArray) -> AllUnseen:
     """Unmatched vertices of b well inside corridors of a. near: (t,) rows whose predictions are
     certain enough, and that are searched."""
     lanes, a = grown.lanes, grown.lanes.a.whole
@@ -285,10 +284,10 @@ def _unseen_b(grown: Grown, near: BoolArray) -> _AllUnseen:
     inside = (across_m < MATCH.gate_m) & (lanes.nearest(place, lane, farthest_m)[0] > end_m)
     vertex, edge, lane = lanes.vertex[rows[inside]], a.points.edge[point[inside]], lane[inside]
     bits = _unseen_bits((lanes.a, lanes.of_a[lane]), edge, (lanes.b, lanes.of_b[lane]), vertex)
-    return _AllUnseen(lane, vertex, edge, bits)
+    return lane, Unseen(vertex, edge, bits)
 
 
-def _unseen_a(grown: Grown, near: BoolArray) -> _AllUnseen:
+def _unseen_a(grown: Grown, near: BoolArray) -> AllUnseen:
     """Unmatched vertices of a well inside corridors of b. near: as in `_unseen_b`."""
     lanes, a, b = grown.lanes, grown.lanes.a.whole, grown.lanes.b.whole
     lane, rows = lanes.rows_of(lanes.b.point)
@@ -311,4 +310,4 @@ def _unseen_a(grown: Grown, near: BoolArray) -> _AllUnseen:
     once = crossed.nonzero()[0][np.unique(slot[crossed], return_index=True)[1]]
     lane, vertex, edge = lane[once], vertex[once], b.points.edge[rows[once]]
     bits = _unseen_bits((lanes.b, lanes.of_b[lane]), edge, (lanes.a, lanes.of_a[lane]), vertex)
-    return _AllUnseen(lane, vertex, edge, bits)
+    return lane, Unseen(vertex, edge, bits)

@@ -99,15 +99,13 @@ def _join(
     matcher = batch.matcher
     across = Across(
         matcher.prepared,
-        matcher.places,
         batch.unlocked,
         alignments,
         batch.same_place_bits,
         locked=forced,
         most_sigmas=matcher.settings.size_sigmas,
     )
-    runs = [m.run for m in matcher.maps]
-    refused = join_all(components, order, alignments, matcher.places, runs, refusal=across.refusal)
+    refused = join_all(components, order, alignments, matcher.prepared, refusal=across.refusal)
     return {pair: a for pair, a in alignments.items() if pair not in refused}, refused
 
 

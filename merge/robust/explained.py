@@ -98,11 +98,8 @@ class _Pair:
         return beyond or match(a, b, self.merge.settings)
 
     def candidates(self, verdict: PairVerdict) -> Iterator[Candidate]:
-        """All candidates, first those of the verdict (of a pair merged by itself the thorough
-        ones), last the placement by a lock of the two as the same."""
-        (thorough,) = self.matcher.thorough(BOTH)
-        by_pair = verdict.accepted_by == "pair"
-        yield from (*thorough, *self.plain) if by_pair else (*self.plain, *thorough)
+        """All candidates, last the placement by a lock of the two as the same."""
+        yield from self.plain
         lock = lock_table(self.merge.locks).get((verdict.a, verdict.b))
         if lock is not None and lock.decision == "same":
             a, b = self.matcher.prepared

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import cmath
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import isqrt
 
 import numpy as np
@@ -40,7 +39,7 @@ class Seed:
     """A hypothesis before growth.
 
     a, b: (k,) matched vertices; theta: rotation [rad]; shift: translation [m] of b's frame, x + iy;
-    bits: evidence; rival: whether it is grown only as an alternative, not to be merged.
+    bits: evidence.
     """
 
     a: IntArray
@@ -48,7 +47,6 @@ class Seed:
     theta: float
     shift: complex
     bits: float
-    rival: bool = False
 
     @property
     def unit(self) -> complex:
@@ -82,7 +80,11 @@ def candidate_links(a: Prepared, b: Prepared) -> Links:
         most_common = order[count[order].cumsum() > MATCH.most_pairs]
         high[most_common] = low[most_common]
     row_a, probe = windows(low, high)
-    row_b = b.probe_row[probe]
+    return compatible_links(a, b, row_a, b.probe_row[probe])
+
+
+def compatible_links(a: Prepared, b: Prepared, row_a: IntArray, row_b: IntArray) -> Links:
+    """Of pairs of corridors, (k,) each, those with compatible lengths and sagittas as links."""
     variance = a.variance[row_a] + b.variance[row_b]
     d = a.length[row_a] - b.length[row_b]
     bow = np.abs(a.sagitta[row_a] - b.sagitta[row_b])
@@ -94,57 +96,43 @@ def candidate_links(a: Prepared, b: Prepared) -> Links:
     return Links(row_a, row_b, theta, np.minimum(bits, MATCH.most_bits) + 0.5 * ends)
 
 
-def seeds(
-    a: Prepared,
-    b: Prepared,
-    links: Links,
-    most: int,
-    *,
-    rival_bits: float = np.inf,
-    first: Sequence[Seed] = (),
-) -> list[Seed]:
-    """The best `most` connected components of the association graph as seeds, best first; and as
-    rivals others with more than `rival_bits`, as many as are grown at once.
+def seeds(a: Prepared, b: Prepared, links: Links, most: int) -> list[Seed]:
+    """The best `most` connected components of the association graph as seeds, best first.
 
-    first: the seeds of the best `most`, if they are known. Nodes of the graph are (vertex a, vertex
-    b, rotation), edges the links (§2.3). Inside a component the transforms of its links vote, so
-    that one false link does not spoil a correct match.
+    Nodes of the graph are (vertex a, vertex b, rotation), edges the links (§2.3). Inside a
+    component the transforms of its links vote, so that one false link does not spoil a correct
+    match.
     """
     if len(links) == 0:
         return []
-    i, j = links.a_row, links.b_row
-    label = link_components(
-        a.tail[i] * len(b) + b.tail[j], a.head[i] * len(b) + b.head[j], links.theta
-    )
+    label = link_components(a, b, links)
     bits = np.bincount(label, weights=links.bits)
-    rivals = min(np.count_nonzero(bits > rival_bits), MATCH.at_once // len(b))
-    best = (-bits).argsort(kind="stable")[: max(most, rivals)]
-    best = best[bits[best] > MATCH.weak_share * bits[best[0]]]
+    best = (-bits).argsort(kind="stable")[:most]
     has_neighbour = np.bincount(label)[label] > 1
     mid_a, mid_b = a.middle[links.a_row], b.middle[links.b_row]
-    found = list(first)
-    known = most if first else 0
-    for rank, component in enumerate(best[known:].tolist(), known):
+    found: list[Seed] = []
+    for component in best[bits[best] > 0].tolist():
         inside = label == component
         rows, turn = _largest_consensus(links, mid_a, mid_b, inside.nonzero()[0])
         others = has_neighbour & ~inside
         seed = _seed(a, b, links, mid_a, mid_b, rows=rows, turn=turn, others=others)
         if all(_are_distinct(seed, other) for other in found):
-            found.append(replace(seed, rival=rank >= most))
+            found.append(seed)
     found.sort(key=lambda s: -s.bits)
     return found
 
 
-def link_components(tail: IntArray, head: IntArray, theta: FloatArray) -> IntArray:
+def link_components(a: Prepared, b: Prepared, links: Links) -> IntArray:
     """(k,) connected component of every link; links are adjacent if they share both vertices at an
-    end, given as one number each (`tail`, `head`), and the rotation.
+    end, and the rotation.
 
     Strategy: equal (vertices, rotation) get one node number by sorting; then labels are propagated
     to the smallest one in reach, by scatter-minimum and pointer jumping, until nothing changes: of
     a hundred links in a sixth of the time of scipy's graphs.
     """
-    k = len(theta)
-    key = np.concatenate([tail, head]) * KEY_STEP + np.concatenate([theta, theta])
+    k, i, j = len(links), links.a_row, links.b_row
+    pairs = a.tail[i] * len(b) + b.tail[j], a.head[i] * len(b) + b.head[j]
+    key = np.concatenate(pairs) * KEY_STEP + np.concatenate([links.theta, links.theta])
     order = key.argsort(kind="stable")
     is_new = np.zeros(2 * k, np.int64)
     is_new[1:] = np.diff(key[order]) > MATCH.turn_rad

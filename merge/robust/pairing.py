@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import TypeVar
 
@@ -21,7 +21,7 @@ from ...topology.topomap import TopoMap
 from .. import codec
 from ..kept import Kept, Kind, digest_of, digested, program_digest
 from ..workers import Workers
-from .alignment import Candidate, match_all, self_matches
+from .alignment import Candidate, image_bits, match_all, self_matches
 from .conflicts import Conflicts, Unseen
 from .prepare import Prepared, prepare
 from .settings import DEFAULT_ROBUST, MATCH, RobustSettings
@@ -90,6 +90,9 @@ HEAD = struct.Struct("<Idd")
 """Head of the result of a match: junctions and bits of the best alignment if none is beyond chance,
 else 0; largest evidence against chance. Candidates beyond chance follow, if there are any."""
 
+IMAGE = struct.Struct("<d")
+"""The evidence for a mirror image."""
+
 CLASSES = {cls.__name__: cls for cls in (Candidate, Support, Conflicts, Unseen, ViewEvidence)}
 
 
@@ -119,8 +122,27 @@ def candidates_of(data: bytes) -> tuple[Candidate, ...]:
     return codec.from_bytes(data[HEAD.size :], CLASSES) if len(data) > HEAD.size else ()
 
 
-def result_of(found: tuple[Candidate, ...], settings: RobustSettings) -> bytes:
-    """The bytes kept of the candidates of a pair: those beyond chance, or a summary of the best."""
+def image_bits_of(data: bytes) -> float:
+    """The number in the bytes of the result of a match with a mirror image."""
+    (bits,) = IMAGE.unpack(data)
+    return float(bits)
+
+
+def results_of(
+    kind: Kind, maps: Iterable[tuple[Prepared, Prepared]], settings: RobustSettings
+) -> list[bytes]:
+    """The bytes kept of each pair of maps."""
+    if kind is Kind.MIRRORED:
+        return [IMAGE.pack(bits) for bits in image_bits(maps, settings)]
+    if kind is Kind.ITSELF:
+        candidates = self_matches((m for m, _ in maps), settings)
+    else:
+        candidates = match_all(maps, settings)
+    return [_candidate_bytes(found, settings) for found in candidates]
+
+
+def _candidate_bytes(found: tuple[Candidate, ...], settings: RobustSettings) -> bytes:
+    """The bytes kept of candidates: those beyond chance, or a summary of the best."""
     beyond = tuple(c for c in found if c.bits > MATCH.lead_bits)
     against_chance = beyond_chance_bits(beyond or found, settings)
     if beyond:
@@ -157,13 +179,8 @@ def _unchanged_map(read: ReadMap | None, run: str, digest: bytes) -> TopoMap:
 def match_task(task: MatchTask, ready: Ready) -> list[bytes]:
     """Do a task. Returns the result of each pair."""
     digests = [digest for _, digest in task.runs]
-    pairs = [(digests[i], digests[j]) for i, j in task.pairs.tolist()]
-    if task.kind is Kind.ITSELF:
-        candidates = self_matches((ready(digest) for digest, _ in pairs), task.settings)
-    else:
-        maps = ((ready(a), ready(b)) for a, b in pairs)
-        candidates = match_all(maps, task.settings, thorough=task.kind is Kind.THOROUGH)
-    return [result_of(found, task.settings) for found in candidates]
+    maps = ((ready(digests[i]), ready(digests[j])) for i, j in task.pairs.tolist())
+    return results_of(task.kind, maps, task.settings)
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,7 +214,6 @@ class Pairwise:
         self.settings = settings
         self.means = means or Means()
         self.prepared = [prepare(m) for m in maps]
-        self.places = [m.xy[:, 0] + 1j * m.xy[:, 1] for m in maps]
         self.digests = [self.means.kept.digest(m) for m in maps]
         self._row = {digest: k for k, digest in enumerate(self.digests)}
 
@@ -209,9 +225,9 @@ class Pairwise:
         """The candidates beyond chance of each of (k, 2) pairs."""
         return self._all(Kind.PAIR, pairs, candidates_of)
 
-    def thorough(self, pairs: IntArray) -> list[tuple[Candidate, ...]]:
-        """The same, with rivals and the evidence of the mirror image (`match`)."""
-        return self._all(Kind.THOROUGH, pairs, candidates_of, reported=True)
+    def image_bits(self, pairs: IntArray) -> list[float]:
+        """The evidence for the mirror image of each of (k, 2) pairs."""
+        return self._all(Kind.MIRRORED, pairs, image_bits_of, reported=True)
 
     def with_themselves(self) -> list[tuple[Candidate, ...]]:
         """Matches of every map with other parts of itself."""

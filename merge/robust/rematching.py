@@ -34,12 +34,12 @@ from ..result import (
     pairs_of,
     site_views,
 )
-from .alignment import Candidate, fit_matches, match
+from .alignment import Candidate, fit_matches
 from .components import Components
-from .pairing import Pair, Pairwise, candidates_of, result_of
+from .pairing import Pair, Pairwise, candidates_of, image_bits_of, results_of
 from .prepare import Prepared, prepare
 from .thresholds import ThresholdOf
-from .verdict import Assessment, Matched, Threshold, assess_all
+from .verdict import Assessment, Matched, Threshold, assess_all, held_against_image
 from .wording import describe_evidence
 
 Runs = tuple[int, ...]
@@ -124,12 +124,18 @@ class MergedMaps:
 
     def candidates(self, a: MergedMap, b: MergedMap) -> tuple[Candidate, ...]:
         """The candidates of two merged maps that are beyond chance."""
-        settings = self._matcher.settings
+        return candidates_of(self._result(Kind.PAIR, a, b))
 
+    def image_bits(self, a: MergedMap, b: MergedMap) -> float:
+        """The evidence for the mirror image of two merged maps."""
+        return image_bits_of(self._result(Kind.MIRRORED, a, b))
+
+    def _result(self, kind: Kind, a: MergedMap, b: MergedMap) -> bytes:
         def result() -> bytes:
-            return result_of(match(a.prepared, b.prepared, settings, thorough=True), settings)
+            (of_pair,) = results_of(kind, [(a.prepared, b.prepared)], self._matcher.settings)
+            return of_pair
 
-        return candidates_of(self._kept.result(Kind.THOROUGH, (a.digest, b.digest), result))
+        return self._kept.result(kind, (a.digest, b.digest), result)
 
 
 def _as_single_run(component: Component, fused: FusedMap, topomaps: Sequence[TopoMap]) -> TopoMap:
@@ -287,7 +293,9 @@ class Rematcher:
 
     def _union(self, a: MergedMap, b: MergedMap, assessment: Assessment) -> _Union | None:
         """The union of two components; None without the evidence, or if a lock is not satisfied."""
-        if assessment.verdict is not Verdict.MERGED or assessment.best is None:
+        if assessment.verdict is Verdict.MERGED:
+            assessment = held_against_image(assessment, self._merged.image_bits(a, b))
+        if assessment.verdict is not Verdict.MERGED:
             return None
         implied = _implied_alignments(a, b, assessment)
         if not implied:

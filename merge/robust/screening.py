@@ -21,13 +21,14 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from ...topology.arrays import FloatArray, IntArray
-from ...topology.se2 import wrap
+from ...topology.columns import take
 from ...topology.views import CELL_M, DISC, FREE, REACH_M, SIDE, WALL, Views
 from ..result import MOST_PAIRS, pairs_of
+from .atlas import Atlas
 from .branch_patterns import LENGTH_SCALE
-from .links import link_components, windows
+from .links import Links, compatible_links, link_components, windows
 from .pairing import TASKS
-from .prepare import Prepared, length_bits
+from .prepare import Prepared
 from .settings import MATCH, RobustSettings
 from .verdict import needed_bits
 
@@ -126,7 +127,7 @@ def likely_pairs(maps: Sequence[Prepared], least_bits: float) -> IntArray:
     parts = [np.zeros((0, 2), np.int64)]
     for start in range(0, len(maps), TASKS.at_hand):
         part = maps[start : start + TASKS.at_hand]
-        block = Corridors.of(part)
+        block = CorridorIndex.of(part)
         for i in range(start + len(part) - 1):
             bits = block.link_bits(maps[i], least_bits, after=max(i - start, -1))
             selected = np.flatnonzero(bits >= least_bits)
@@ -136,60 +137,33 @@ def likely_pairs(maps: Sequence[Prepared], least_bits: float) -> IntArray:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Corridors:
+class CorridorIndex:
     """The directed corridors of some maps, sorted by pattern of branches, then length.
 
-    key: (k,) pattern and length as in `Prepared.probe_key`; owner: (k,) map of each; tail, head:
-    (k,) vertices, numbered through all maps; the other columns as in `Prepared`. length_step,
-    worst: (k,) lengths, ascending, and the largest variance of corridors up to each.
+    atlas: the maps; key: (k,) pattern and length as in `Prepared.probe_key`; row: (k,) corridors of
+    the atlas; owner: the map of each corridor of the atlas. length_step, worst: lengths, ascending,
+    and the largest variance of corridors up to each.
     """
 
-    maps: int
-    vertices: int
+    atlas: Atlas
     key: FloatArray
+    row: IntArray
     owner: IntArray
-    tail: IntArray
-    head: IntArray
-    length: FloatArray
-    variance: FloatArray
-    sagitta: FloatArray
-    angle: FloatArray
-    rarity: FloatArray
-    end_information: FloatArray
     length_step: FloatArray
     worst: FloatArray
 
     @classmethod
-    def of(cls, maps: Sequence[Prepared]) -> Corridors:
+    def of(cls, maps: Sequence[Prepared]) -> CorridorIndex:
         """Index some maps. O(k log k)."""
-        first = np.cumsum([0, *(len(m) for m in maps)])
-        rows = [m.probe_row for m in maps]
-
-        def gathered(name: str) -> FloatArray:
-            parts = [getattr(m, name)[r] for m, r in zip(maps, rows, strict=True)]
-            return np.concatenate([*parts, np.zeros(0)])[order]
-
-        key = np.concatenate([*(m.probe_key for m in maps), np.zeros(0)])
+        atlas = Atlas.of(maps)
+        key = np.concatenate([m.probe_key for m in maps])
+        first = atlas.corridor.tolist()
+        row = np.concatenate([m.probe_row + start for m, start in zip(maps, first, strict=False)])
         order = np.argsort(key, kind="stable")
-        owner = np.arange(len(maps)).repeat([len(r) for r in rows])[order]
-        length, variance = gathered("length"), gathered("variance")
-        by_length = np.argsort(length, kind="stable")
-        return cls(
-            maps=len(maps),
-            vertices=int(first[-1]),
-            key=key[order],
-            owner=owner,
-            tail=first[owner] + gathered("tail").astype(np.int64),
-            head=first[owner] + gathered("head").astype(np.int64),
-            length=length,
-            variance=variance,
-            sagitta=gathered("sagitta"),
-            angle=gathered("angle"),
-            rarity=gathered("rarity"),
-            end_information=gathered("end_information"),
-            length_step=length[by_length],
-            worst=np.maximum.accumulate(variance[by_length]),
-        )
+        owner = np.arange(len(maps)).repeat(np.diff(atlas.corridor))
+        by_length = np.argsort(atlas.whole.length, kind="stable")
+        worst = np.maximum.accumulate(atlas.whole.variance[by_length])
+        return cls(atlas, key[order], row[order], owner, atlas.whole.length[by_length], worst)
 
     def worst_variance(self, length: FloatArray) -> FloatArray:
         """(q,) upper bound of the variance [m²] of corridors compatible with the lengths (q,)."""
@@ -202,42 +176,29 @@ class Corridors:
         """For each indexed map the evidence [bits] of its best connected set of links with map a,
         minus log2 of the number of links; -inf if all links together have less than `least_bits`,
         and for the maps up to the index `after`."""
-        best = np.full(self.maps, -np.inf)
-        row, column = self._compatible(a, after)
-        if not len(row):
+        maps, whole = len(self.atlas.maps), self.atlas.whole
+        best = np.full(maps, -np.inf)
+        links = self._links(a, after)
+        if not len(links):
             return best
-        bits = length_bits(
-            a.length[row] - self.length[column], a.variance[row] + self.variance[column]
-        )
-        bits += np.minimum(a.rarity[row], self.rarity[column])
-        ends = np.minimum(a.end_information[row], self.end_information[column])
-        bits = np.minimum(bits, MATCH.most_bits) + 0.5 * ends
-        owner = self.owner[column]
-        choice_bits = np.log2(np.bincount(owner, minlength=self.maps) + 1.0)
-        total = np.bincount(owner, np.maximum(bits, 0.0), self.maps)
+        owner = self.owner[links.b_row]
+        choice_bits = np.log2(np.bincount(owner, minlength=maps) + 1.0)
+        total = np.bincount(owner, np.maximum(links.bits, 0.0), maps)
         promising = np.flatnonzero((total - choice_bits >= least_bits)[owner])
         if len(promising):
-            row, column = row[promising], column[promising]
-            bits, owner = bits[promising], owner[promising]
-            label = link_components(
-                a.tail[row] * self.vertices + self.tail[column],
-                a.head[row] * self.vertices + self.head[column],
-                np.asarray(wrap(a.angle[row] - self.angle[column])),
-            )
-            np.maximum.at(best, owner, np.bincount(label, bits)[label])
+            links, owner = take(links, promising), owner[promising]
+            label = link_components(a, whole, links)
+            np.maximum.at(best, owner, np.bincount(label, links.bits)[label])
         return np.asarray(best - choice_bits)
 
-    def _compatible(self, a: Prepared, after: int) -> tuple[IntArray, IntArray]:
-        """Compatible pairs: rows of corridors of a, in one direction, and rows of the index."""
+    def _links(self, a: Prepared, after: int) -> Links:
+        """Links of corridors of a, in one direction, with those of the maps behind `after`."""
         half = len(a.tail) // 2
         variance, length = a.variance[:half], a.length[:half]
         reach = MATCH.length_sigmas * np.sqrt(variance + self.worst_variance(length))
         key = a.pattern[:half] * LENGTH_SCALE + length
         low, high = self.key.searchsorted(key - reach), self.key.searchsorted(key + reach)
         row, column = windows(low, high)
-        later = np.flatnonzero(self.owner[column] > after)
-        row, column = row[later], column[later]
-        d = a.length[row] - self.length[column]
-        fits = d * d < MATCH.length_sigmas**2 * (a.variance[row] + self.variance[column])
-        fits &= np.abs(a.sagitta[row] - self.sagitta[column]) < MATCH.gate_m
-        return row[fits], column[fits]
+        other = self.row[column]
+        later = np.flatnonzero(self.owner[other] > after)
+        return compatible_links(a, self.atlas.whole, row[later], other[later])

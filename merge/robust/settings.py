@@ -38,9 +38,9 @@ class RobustSettings:
     deviations of their odometries' scales. Of 310 right pairs of simulated runs the most is 2.3
     (the scales are conservative); of the same with one map 3 % larger 58 to 78 % have more."""
     hypotheses: int = 3
-    """Candidate alignments grown per pair that may be merged: the best, its rival, and one more in
-    case that one of them does not grow. With two one of 104 pairs of tunnels is lost; with
-    all that are beyond chance two runs of rows are merged wrongly."""
+    """Candidate alignments grown per pair: the best, its rival, and one more in case that one of
+    them does not grow. With two one of 104 pairs of tunnels is lost; with all that are beyond
+    chance two runs of rows are merged wrongly."""
     growth_rounds: int = 6
     """Upper bound of the rounds of predict, match, refit. Tried: with 4 and 9 the same pairs are
     merged."""
@@ -86,11 +86,6 @@ class MatchSettings:
     .58 or more; of 25 pairs of floors of one plan, each junction moved by up to .3 m, 23 have less
     than half, and so do two sites that share a block (`benchmarks/adversaries.py`). It costs no
     right pair of the suites."""
-    misfit_rate: float = LIKELIHOOD.outlier_share
-    """An alignment may be a copy if the lengths of one place differ by as much in less than this
-    share of cases. Of 115 right pairs of two suites the least have .21, of 174 by earlier code .12
-    (noise is stated with caution for matching); a copy of 19 junctions in an office, which nothing
-    contradicts, has .01, by earlier code .005."""
     uniform_bits: float = 0.75
     """Bits of a length (-log2 of the density [1/m] of equal corridors) up to which the building is
     assumed to repeat itself; from twice as many on it is not. 90 % of pairs of maps have: rows -.3
@@ -135,8 +130,6 @@ class MatchSettings:
     """A match is also given up if fewer of the junctions inside the other run's area are found:
     chance alone finds about a fifth of them. Tried: .4 and .5 give the same, but unrelated pairs
     take half as long again."""
-    weak_share: float = 0.3
-    """Hypotheses with less than this share of the best one's bits are not grown."""
     most_pairs: int = 20_000
     """Bound on the pairs that are compared at once. Of more compatible pairs of corridors those of
     the most common patterns are left out, which carry no information. Of more pairs of links that

@@ -26,10 +26,6 @@ LARGE_PART = 0.25
 part. Of maps of 36 junctions half the offices and three quarters of the rows have one, a tenth of
 the tunnels of standard parts (`benchmarks/aliasing.py`)."""
 
-SHOWING = 12
-"""Least number of junctions of a map that can show a copy of a large part of itself: .43 of offices
-with so many do, .6 of larger ones."""
-
 SHOWN = (0.25, 1.9)
 """Likelihood ratios of a building without against one with repeats, if a map shows a copy of a
 large part of itself, and if it does not. .1 of tunnels show one, .4 and more of offices and
@@ -144,11 +140,11 @@ def _unrepeated_bits(
     building = connected(first, second, len(prepared))
     size = np.array([len(m) for m in prepared])
     copy = np.array([max(map(len, copies), default=0) for copies in copies_of_maps])
-    shows, large = copy >= LARGE_PART * size, size >= SHOWING
-    by_maps = np.bincount(building, np.where(large, np.log2(np.where(shows, *SHOWN)), 0.0))
+    shows = copy >= np.maximum(LARGE_PART * size, 1)
+    by_maps = np.bincount(building, np.log2(np.where(shows, *SHOWN)))
     members = [np.flatnonzero(building == g).tolist() for g in range(len(by_maps))]
     uniform = np.array([uniformity(*(prepared[k] for k in rows)) for rows in members])
-    repeats = uniform * (np.bincount(building, shows & large) > 0)
+    repeats = uniform * (np.bincount(building, shows) > 0)
     others, repeating = uniform.sum() - uniform, repeats.sum() - repeats
     bits = by_maps + np.log2((others - repeating + BEFORE[0]) / (repeating + BEFORE[1]))
     of_maps: list[float] = np.maximum(bits, 0.0)[building].tolist()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +13,7 @@ from ...topology.digits import BITS, rounded
 from ..result import CopyTest, Verdict
 from .alignment import Candidate
 from .prepare import Prepared
-from .repetition import CopyModel, Sameness, fits_by_noise, sameness, size_sigmas
+from .repetition import CopyModel, Sameness, sameness, size_sigmas
 from .settings import MATCH, RobustSettings
 from .view_evidence import CONSISTENT_M
 
@@ -21,8 +21,6 @@ OTHER_SIZE = "one is larger throughout: this may be a copy of another size"
 
 NO_WORSE = "another placement that chance does not explain has no more against it"
 MAYBE_COPY = "this may be another copy of the place, as buildings in this merge repeat themselves"
-
-MISFITS = "this may be another copy of the place, as its lengths differ by more than noise"
 
 NEARLY = "another placement fits nearly as well"
 
@@ -33,7 +31,7 @@ ELSEWHERE = "by another placement"
 
 NOTHING_ALIKE = "they have nothing in common that chance would not offer"
 
-DOUBTS = (OTHER_SIZE, NO_WORSE, MAYBE_COPY, MISFITS, NEARLY, MIRRORED, ELSEWHERE, NOTHING_ALIKE)
+DOUBTS = (OTHER_SIZE, NO_WORSE, MAYBE_COPY, NEARLY, MIRRORED, ELSEWHERE, NOTHING_ALIKE)
 """Reasons against merging other than too little evidence: the two may be different places."""
 
 
@@ -230,17 +228,9 @@ def shortfall(c: Candidate) -> float:
 
 
 def walls_fit(a: Prepared, b: Prepared, c: Candidate) -> bool:
-    """Whether the walls of several parts lie on each other in one placement. Then lengths fit, too,
-    and neither map is larger, whatever the junctions: furniture shifts junctions, not walls."""
+    """Whether the walls of several parts lie on each other in one placement. Then neither map is
+    larger, whatever the junctions: furniture shifts junctions, not walls."""
     return c.views.residual_m(a.views, b.views) <= CONSISTENT_M
-
-
-def repetition_by_misfit(a: Prepared, b: Prepared, c: Candidate) -> float:
-    """The repetition by lengths that differ by more than noise in all: 1 or 0. Places of one design
-    can agree in every junction and differ a little in many corridors; each might be noise."""
-    if walls_fit(a, b, c):
-        return 0.0
-    return float(fits_by_noise(a, b, c.corridors) < MATCH.misfit_rate)
 
 
 def _share(value: float) -> float:
@@ -267,13 +257,13 @@ def assess(
 def assess_all(pairs: Sequence[Matched]) -> list[Assessment]:
     """Verdicts on pairs from their candidate alignments.
 
-    merged: enough evidence against chance, not a copy, and a lead over every other placement and
-    the mirror image. ambiguous: beyond chance, but one of the three is missing, or too few
-    junctions agree. unrelated: nothing beyond chance.
+    merged: enough evidence against chance, not a copy, and a lead over every other placement; it
+    must also lead the mirror image (`held_against_image`). ambiguous: beyond chance, but one of the
+    three is missing, or too few junctions agree. unrelated: nothing beyond chance.
 
     The test for copies is applied where the building has corridors of few lengths, to alignments no
-    larger than repetitions within the maps, whose lengths differ by more than noise, and where the
-    best one has much less evidence than the bound of its junctions.
+    larger than repetitions within the maps, and where the best one has much less evidence than the
+    bound of its junctions.
     """
     likely = [_beyond_chance(pair.candidates, pair.threshold) for pair in pairs]
     repetitions = list(map(_repetitions, pairs, likely))
@@ -297,7 +287,6 @@ def _repetitions(pair: Matched, beyond: Sequence[Candidate]) -> list[float]:
             # Walls show better than lengths of corridors whether a building repeats itself.
             by_lengths * c.views.self_similarity,
             threshold.repetition_by_size(c),
-            repetition_by_misfit(a, b, c),
             threshold.repetition_by_views(c),
         )
         for c in beyond
@@ -331,17 +320,13 @@ def _assess(
     best = first.candidate
     margin = first.bits - others[0].bits if others else None
     why = _missing(first, margin, threshold)
-    if why == MAYBE_COPY and repetition_by_misfit(a, b, best):
-        why = MISFITS
     contested = not why and _contested(ranked)
     # If something else is missing, the explanation states the lead required over the runner-up.
     no_worse = contested or any(_contests(other, first) for other in others[:1])
     why = NO_WORSE if contested else why
     if first.chance_bits >= threshold.need_bits:
-        larger = size_sigmas(a, b, best.corridors) > threshold.settings.size_sigmas
+        larger = size_sigmas([(a, b, best.corridors)]) > threshold.settings.size_sigmas
         why = OTHER_SIZE if larger and not walls_fit(a, b, best) else why
-    if not why and best.image_bits > best.bits - MATCH.lead_bits:
-        why = MIRRORED
     return Assessment(
         verdict=Verdict.AMBIGUOUS if why else Verdict.MERGED,
         need_bits=threshold.need_bits,
@@ -349,6 +334,15 @@ def _assess(
         why=why,
         lead_bits=MATCH.contested_bits if no_worse else MATCH.lead_bits,
     )
+
+
+def held_against_image(assessment: Assessment, image_bits: float) -> Assessment:
+    """The assessment of a pair that would be merged, given the evidence of its mirror image
+    (`alignment.image_bits`)."""
+    best = assessment.best
+    if best is None or image_bits <= best.bits - MATCH.lead_bits:
+        return assessment
+    return replace(assessment, verdict=Verdict.AMBIGUOUS, why=MIRRORED)
 
 
 def _combined_copy_bits(lengths: float, views: float) -> float:
@@ -377,8 +371,6 @@ def _missing(first: Weighed, margin: float | None, threshold: Threshold) -> str:
         return MAYBE_COPY
     if first.chance_bits < threshold.need_bits:
         return "chance offers as much too often"
-    if best.rival:
-        return MAYBE_COPY
     if best.witnesses - best.conflicts.junctions < threshold.settings.min_matches:
         fewest = f"{threshold.settings.min_matches} junctions at least must agree"
         return (

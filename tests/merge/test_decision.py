@@ -94,7 +94,8 @@ def test_an_ambiguous_pair_says_what_it_lacks():
     assert because(replace(AMBIGUOUS, why="")).endswith(" agree, 1 contradicts; so it is.")
     assert advice(AMBIGUOUS).startswith("To settle it: record further")
     assert advice(MERGED) == advice(UNRELATED) == ""
-    through = replace(AMBIGUOUS, pair=replace(AMBIGUOUS.pair, through=("other",)))
+    joined = replace(AMBIGUOUS.pair, through=("other",), lacks=AMBIGUOUS.why)
+    through = replace(AMBIGUOUS, pair=joined)
     assert advice(through) == ""  # it is settled, and its own placement may be wrong
     assert any("the next best lays it at" in line for line in lines(AMBIGUOUS))
 

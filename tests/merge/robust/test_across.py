@@ -25,8 +25,7 @@ def sizes(drawn):
         (i, j): match(prepared[i], prepared[j], SETTINGS)[0] for j in range(4) for i in range(j)
     }
     joins = {pair: as_alignment(c) for pair, c in found.items()}
-    places = [m.z for m in prepared]
-    return Across(prepared, places, {}, joins, _nothing, (), SETTINGS.size_sigmas), found
+    return Across(prepared, {}, joins, _nothing, (), SETTINGS.size_sigmas), found
 
 
 def _nothing(pairs):

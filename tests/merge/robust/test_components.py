@@ -17,7 +17,7 @@ def test_cycles_that_contradict_give_way_at_their_weakest_link(halves):
     found = as_alignment(match(a, b, SETTINGS)[0])
     straight = {(0, 1): found, (1, 2): found, (0, 2): found}
     groups = Components(3, [])
-    refused = join_all(groups, [(0, 1), (1, 2), (0, 2)], straight, [a.z, b.z, b.z], ["x", "y", "z"])
+    refused = join_all(groups, [(0, 1), (1, 2), (0, 2)], straight, [a, b, b])
     assert set(refused) == {(0, 2)}
     assert "place the two differently" in refused[0, 2].reason
     assert groups.together(0, 2)
@@ -32,5 +32,4 @@ def test_a_cycle_closes_by_a_pair_that_views_alone_match(halves):
         by_views = replace(found, transform=around, matched=np.zeros((0, 2), np.int64))
         best = {(0, 1): found, (1, 2): found, (0, 2): by_views}
         groups = Components(3, [])
-        places = [a.z, b.z, b.z]
-        assert set(join_all(groups, [(0, 1), (1, 2), (0, 2)], best, places, "xyz")) == refused
+        assert set(join_all(groups, [(0, 1), (1, 2), (0, 2)], best, [a, b, b])) == refused

@@ -1,15 +1,13 @@
 """Mirror images of maps, and verdicts that they cast doubt on."""
 
-from dataclasses import replace
-
 import numpy as np
 
 from topobatch.merge.result import Verdict
-from topobatch.merge.robust.alignment import match
+from topobatch.merge.robust.alignment import image_bits, match
 from topobatch.merge.robust.mirror import mirrored
 from topobatch.merge.robust.prepare import prepare
 from topobatch.merge.robust.settings import MATCH
-from topobatch.merge.robust.verdict import assess, threshold_for
+from topobatch.merge.robust.verdict import assess, held_against_image, threshold_for
 
 from .plans import COPIES, EDGES, POINTS, SETTINGS
 
@@ -28,8 +26,10 @@ def test_a_mirror_image_is_the_other_way_round_and_twice_mirrored_the_same(drawn
 
 def test_only_what_leads_its_mirror_image_stays_merged(drawn):
     a, b = prepare(drawn("a", POINTS, EDGES)), prepare(drawn("b", POINTS, EDGES))
-    best = match(a, b, SETTINGS, thorough=True)[0]
-    assert np.isfinite(best.image_bits)
+    found = match(a, b, SETTINGS)
+    (bits,) = image_bits([(a, b)], SETTINGS)
+    assert np.isfinite(bits)
+    merged = assess(a, b, found, threshold_for(1, 1, COPIES, SETTINGS))
     for more, verdict in ((-0.1, Verdict.MERGED), (0.1, Verdict.AMBIGUOUS)):
-        shown = replace(best, image_bits=best.bits - MATCH.lead_bits + more)
-        assert assess(a, b, [shown], threshold_for(1, 1, COPIES, SETTINGS)).verdict is verdict
+        shown = held_against_image(merged, found[0].bits - MATCH.lead_bits + more)
+        assert shown.verdict is verdict

@@ -4,22 +4,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.stats import chi2
 
 from topobatch.merge.result import CopyTest, Verdict
 from topobatch.merge.robust.alignment import match, same_placement
 from topobatch.merge.robust.prepare import prepare
-from topobatch.merge.robust.repetition import fits_by_noise
 from topobatch.merge.robust.settings import MATCH
 from topobatch.merge.robust.verdict import (
     MAYBE_COPY,
-    MISFITS,
     NO_WORSE,
     _missing,
     assess,
-    repetition_by_misfit,
     threshold_for,
     uniformity,
+    walls_fit,
 )
 from topobatch.merge.robust.view_evidence import NO_VIEW_EVIDENCE
 from topobatch.simulation.world import straight, world_of_links
@@ -60,52 +57,21 @@ def test_few_junctions_carry_little_whatever_they_seem_to_tell(drawn):
     assert replace(answers, copy_test=tested).copy_bits == answers.need - 1.5
 
 
-def test_what_fits_worse_than_noise_is_asked_whether_it_is_a_copy(drawn):
-    """A few corridors differ by sigmas, of which each might be noise, and most by nothing."""
-    a, b = prepare(drawn("a", POINTS, EDGES)), prepare(drawn("b", POINTS, EDGES))
-    told = match(a, b, SETTINGS)[0]
-    i, j = told.corridors.T
-    sigma = np.sqrt(a.variance[i] + b.variance[j])
-    threshold = threshold_for(1, 1, COPIES, SETTINGS)
-    few = np.arange(len(j)) % 3 == 0
-    cases = ((0.0 * few, 0.0), (1.0 * few, 0.0), (2.9 * few, 1.0), (0.0 * few + 2.9, 0.0))
-    for off, asked in cases:  # the last is a map that is bent more than it states
-        length = b.length.copy()
-        length[j] = a.length[i] + off * sigma
-        other = replace(b, length=length)
-        fits = fits_by_noise(a, other, told.corridors)
-        if not asked:
-            assert fits > 0.1
-        else:
-            assert fits == pytest.approx(chi2.sf((off**2).sum(), len(j)))
-        assert repetition_by_misfit(a, other, told) == asked
-        found = assess(a, other, [told], threshold)
-        (answers,) = found.ranked
-        assert _repetition(answers) == max(asked, uniformity(a, other))
-        assert (found.why == MISFITS) == bool(asked)
-    assert fits_by_noise(a, b, told.corridors[:0]) == 1.0
-
-
 def test_furniture_shifts_junctions_not_walls(drawn):
     """Where the walls of three parts agree in one placement, lengths that differ are no doubt."""
     a, b = prepare(drawn("a", POINTS, EDGES)), prepare(drawn("b", POINTS, EDGES))
     told = match(a, b, SETTINGS)[0]
-    i, j = told.corridors.T
-    few = np.arange(len(j)) % 3 == 0
-    length = b.length.copy()
-    length[j] = a.length[i] + few * 2.9 * np.sqrt(a.variance[i] + b.variance[j])
     pose = np.array([[0.0, 0.0, 0.0], [9.0, 0.0, 0.0], [0.0, 9.0, 0.0]])
     views = Views(np.zeros(3, np.int64), pose, np.zeros((3, SIDE, SIDE), np.uint8))
     a, b = (replace(m, topomap=replace(m.topomap, views=views)) for m in (a, b))
-    b = replace(b, length=length)
     three = np.arange(3)
     evidence = replace(
         NO_VIEW_EVIDENCE, first=three, second=three, cell=three, z=np.full(3, 4.0), bits=np.ones(3)
     )
-    for off_m, asked in ((0.0, 0.0), (0.6, 1.0)):
+    for off_m, fit in ((0.0, True), (0.6, False)):
         transform = np.array([[0.0, 0.0, 0.0], [off_m, 0.0, 0.0], [0.0, 0.0, 0.0]])
         seen = replace(told, views=replace(evidence, transform=transform))
-        assert repetition_by_misfit(a, b, seen) == asked
+        assert walls_fit(a, b, seen) == fit
 
 
 def _repetition(answers):
