@@ -9,7 +9,7 @@ import re
 from math import isfinite
 from typing import Annotated, Any, Literal, Self, TypeVar, get_args
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from .digits import METRES
 from .errors import DocumentError
@@ -254,22 +254,6 @@ ABOUT = frozenset(
 """Fields of `MapGraph` that tell how a map was made: `TopoMap.info`."""
 
 
-def _as_false(value: Any) -> Any:
-    if value is not False:
-        raise ValueError("must be false")
-    return value
-
-
-def _as_true(value: Any) -> Any:
-    if value is not True:
-        raise ValueError("must be true")
-    return value
-
-
-Undirected = Annotated[Literal[False], BeforeValidator(_as_false)]
-Multigraph = Annotated[Literal[True], BeforeValidator(_as_true)]
-
-
 class MapDocument(Model):
     """`maps/<run>.json`."""
 
@@ -279,8 +263,8 @@ class MapDocument(Model):
     schema_name: Literal["topobatch.map/1"] = Field(
         alias="schema", description="Name and version of this schema."
     )
-    directed: Undirected = Field(description="For networkx: corridors lead both ways.")
-    multigraph: Multigraph = Field(description="For networkx: several may join two vertices.")
+    directed: Literal[False] = Field(description="For networkx: corridors lead both ways.")
+    multigraph: Literal[True] = Field(description="For networkx: several may join two vertices.")
     graph: MapGraph = Field(description="What is said of the map as a whole.")
     nodes: list[MapNode] = Field(description="The junctions, bends and dead ends.")
     edges: list[MapEdge] = Field(description="The corridors between them.")
