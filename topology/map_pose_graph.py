@@ -2,38 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from .arrays import FloatArray, IntArray
+from .arrays import FloatArray
 from .corridor_lengths import LEAST_M, length_variances
 from .digits import BRANCH
-from .posegraph.graph import PoseGraph
+from .posegraph.graph import Measurements, PoseGraph
 from .se2 import turned_axes
 from .topomap import TopoMap
 
 LEAST_TURN_RAD = 10.0**-BRANCH
 """Lower bound of a corridor's heading error, 1 sigma: keeps the information finite; an odometry
 without noise is assumed to have more (3e-4 in a corridor)."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Measurements:
-    """Relative poses between vertices.
-
-    source, target: (k,); measurement: (k, 3) T_source_target; information: (k, 3, 3).
-    """
-
-    source: IntArray
-    target: IntArray
-    measurement: FloatArray
-    information: FloatArray
-
-
-NO_MEASUREMENTS = Measurements(
-    np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3, 3))
-)
 
 
 def odometry_measurements(topomap: TopoMap) -> Measurements:

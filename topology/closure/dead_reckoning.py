@@ -7,9 +7,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ..arrays import FloatArray, IntArray
-from ..frozen import freeze
 from ..odometry import Odometry
 from ..passes import Passes
+from ..posegraph.graph import NO_MEASUREMENTS, Measurements
 from ..run import NOT_SEEN_AGAIN, SeenAgain
 from ..topomap import RunNoise
 from ..track import interpolated, piece_of, stretch_of, track_directions, way_at
@@ -32,33 +32,6 @@ class SystematicErrors:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Factors:
-    """Measured relative poses of nodes of a `PoseGraph`. Its first nodes are the passes of a run,
-    at their centres and rotated like the odometry frame.
-
-    first, second: (k,) nodes; measurement: (k, 3) T_first_second; information: (k, 3, 3) of it.
-    """
-
-    first: IntArray
-    second: IntArray
-    measurement: FloatArray
-    information: FloatArray
-
-    def __post_init__(self) -> None:
-        k = len(self.first)
-        freeze(self, np.int64, first=(k,), second=(k,))
-        freeze(self, np.float64, measurement=(k, 3), information=(k, 3, 3))
-
-    def __len__(self) -> int:
-        return len(self.first)
-
-
-NO_FACTORS = Factors(
-    np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3, 3))
-)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class DeadReckoning:
     """The passes of a run and the odometry between them.
 
@@ -67,7 +40,7 @@ class DeadReckoning:
     the place to where the robot came from and went to, NaN where unknown. aside: (p,) distance at
     which the robot passed the place [m]. sums: (p, 13) prefix sums over the odometry up to each
     pass (see `_prefix_sums`), about `origin` (p, 2), the centroid of the pass's piece; jumps: (p,
-    7) the same for the variances of jumps; loops: measured by views.
+    7) the same for the variances of jumps; loops: between passes, as views measured them.
     """
 
     passes: Passes
@@ -81,7 +54,7 @@ class DeadReckoning:
     origin: FloatArray
     sums: FloatArray
     jumps: FloatArray
-    loops: Factors = field(default=NO_FACTORS)
+    loops: Measurements = field(default=NO_MEASUREMENTS)
 
     def __len__(self) -> int:
         return len(self.passes)
@@ -125,7 +98,7 @@ FAR_M = 15.0
 
 def _loops_of_passes(
     odometry: Odometry, passes: Passes, noise: RunNoise, revisits: SeenAgain
-) -> Factors:
+) -> Measurements:
     """Revisits as loops between the passes nearest to both times; for each pair the most certain.
 
     Left out are revisits with a time farther than `FAR_M` from all passes, or with one pass nearest
@@ -133,7 +106,7 @@ def _loops_of_passes(
     passes add to its covariance.
     """
     if not len(revisits) or not len(passes):
-        return NO_FACTORS
+        return NO_MEASUREMENTS
     pass_arc_m, stretch = way_at(odometry, passes.time_ns), stretch_of(odometry, passes.time_ns)
     rows, covs = [], [np.linalg.inv(revisits.information)]
     for times in (revisits.first_ns, revisits.second_ns):
@@ -155,7 +128,9 @@ def _loops_of_passes(
     measurement = np.zeros((len(chosen), 3))
     measurement[:, :2] = passes.centre[second] - passes.centre[first]
     information = np.linalg.inv(cov[chosen])
-    return Factors(first, second, measurement, 0.5 * (information + information.transpose(0, 2, 1)))
+    return Measurements(
+        first, second, measurement, 0.5 * (information + information.transpose(0, 2, 1))
+    )
 
 
 def scale_noise(reckoning: DeadReckoning, factor: float) -> DeadReckoning:

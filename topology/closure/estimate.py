@@ -11,18 +11,19 @@ from ..circular import cluster_angles
 from ..columns import joined
 from ..matching.likelihood import LIKELIHOOD
 from ..passes import ONE_WAY_RAD
-from ..posegraph.graph import PoseGraph, Priors, SharedErrors, Solution
+from ..posegraph.graph import (
+    NO_MEASUREMENTS,
+    Measurements,
+    PoseGraph,
+    Priors,
+    SharedErrors,
+    Solution,
+)
 from ..posegraph.marginals import Marginals
 from ..posegraph.samples import SampledMarginals
 from ..posegraph.solve import SolverSettings, solve
 from ..se2 import turned, wrap
-from .dead_reckoning import (
-    NO_FACTORS,
-    DeadReckoning,
-    Factors,
-    relative_covariance,
-    systematic_modes,
-)
+from .dead_reckoning import DeadReckoning, relative_covariance, systematic_modes
 from .manhattan import GridCorridors, GridHeadings
 
 GAP_M = 20.0
@@ -121,14 +122,14 @@ def optimise(
     end_sightings = len(legs) + len(sightings)
     end_loops, edges = end_sightings + len(loops), len(factors)
     sensitivity, kernel = np.zeros((edges, 3, 2)), np.full(edges, np.inf)
-    sensitivity[: len(legs)] = systematic_modes(reckoning, legs.first, legs.second)
+    sensitivity[: len(legs)] = systematic_modes(reckoning, legs.source, legs.target)
     kernel[end_loops:] = ESTIMATE.grid_kernel
     systematic = reckoning.systematic
     shared_sigma = np.array([systematic.turn_rad_per_m, systematic.turn_rad_per_rad])
     graph = PoseGraph(
         pose=np.vstack([start, centres, corridor_poses]),
-        source=factors.first,
-        target=factors.second,
+        source=factors.source,
+        target=factors.target,
         measurement=factors.measurement,
         information=factors.information,
         kernel=kernel,
@@ -142,7 +143,7 @@ def optimise(
         pose=solution.pose[:count],
         xy=solution.pose[node, :2],
         node=node,
-        sighting=sightings.first,
+        sighting=sightings.source,
         sighting_chi2=solution.edge_chi2[len(legs) : end_sightings],
         loop_chi2=solution.edge_chi2[end_sightings:end_loops],
         reduced_chi2=_reduced_chi2(chi2, freedom, LIKELIHOOD.gate_chi2(3)),
@@ -258,13 +259,13 @@ def _priors(grid: GridHeadings | None, corridors: GridCorridors | None, first_li
     return Priors.headings(row, turn, sigma, kernel)
 
 
-def _odometry_edges(reckoning: DeadReckoning) -> Factors:
+def _odometry_edges(reckoning: DeadReckoning) -> Measurements:
     """Edges of odometry from each pass to the next one, unless it broke in between."""
     row = np.flatnonzero(np.diff(reckoning.piece) == 0)
     cov = leg_covariance(reckoning, row) + np.diag([1e-6, 1e-6, 1e-8])
     shift = np.diff(reckoning.passes.centre, axis=0)[row]
     measurement = np.column_stack([shift, np.zeros(len(row))])
-    return Factors(row, row + 1, measurement, _information(cov))
+    return Measurements(row, row + 1, measurement, _information(cov))
 
 
 def leg_covariance(reckoning: DeadReckoning, row: IntArray) -> FloatArray:
@@ -292,7 +293,7 @@ def _information(cov: FloatArray) -> FloatArray:
 
 def _observations(
     reckoning: DeadReckoning, place: IntArray, node: IntArray, turn: FloatArray
-) -> Factors:
+) -> Measurements:
     """Observations of places with several passes, which have nodes of their own: the centres
     coincide, the branches fix the rotation."""
     row = np.flatnonzero(place >= 0)
@@ -310,16 +311,16 @@ def _observations(
     information = np.zeros((len(row), 3, 3))
     information[:, 0, 0] = information[:, 1, 1] = reckoning.noise.centre_m**-2
     information[:, 2, 2] = counts[row] * reckoning.noise.branch_rad**-2
-    return Factors(row, node[place[row]], measurement, information)
+    return Measurements(row, node[place[row]], measurement, information)
 
 
 def _corridor_lines(
     start: FloatArray, corridors: GridCorridors | None, nodes: int
-) -> tuple[Factors, FloatArray]:
-    """Factors from the lines of grid corridors, nodes from `nodes` on, to the passes on them; and
-    the initial poses of the lines (c, 3), at their first passes."""
+) -> tuple[Measurements, FloatArray]:
+    """Measurements from the lines of grid corridors (nodes from `nodes` on) to the passes on them,
+    and the initial poses of the lines (c, 3), at their first passes."""
     if corridors is None:
-        return NO_FACTORS, np.zeros((0, 3))
+        return NO_MEASUREMENTS, np.zeros((0, 3))
     passes, is_first = corridors.row, np.diff(corridors.corridor, prepend=-1) > 0
     information = np.zeros((len(passes), 3, 3))
     information[:, 1, 1] = corridors.sigma_m**-2
@@ -327,4 +328,4 @@ def _corridor_lines(
     pose = np.column_stack([start[passes[is_first], :2], corridors.direction])
     measurement = np.zeros((len(passes), 3))
     measurement[:, 1] = corridors.aside
-    return Factors(nodes + corridors.corridor, passes, measurement, information), pose
+    return Measurements(nodes + corridors.corridor, passes, measurement, information), pose

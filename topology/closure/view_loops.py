@@ -17,10 +17,11 @@ from ..arrays import BoolArray, FloatArray, IntArray
 from ..columns import joined, take
 from ..matching.likelihood import LIKELIHOOD
 from ..matching.views import TURN_RAD, Registered, ViewIndex, ViewNull, coarse_fit, register
+from ..posegraph.graph import Measurements
 from ..ragged import numbered
 from ..se2 import between, compose, inverse, turned_axes, wrap
 from .candidates import pairs_within
-from .dead_reckoning import DeadReckoning, Factors, dead_reckoning_covariance
+from .dead_reckoning import DeadReckoning, dead_reckoning_covariance
 from .estimate import Estimate, optimise
 from .evidence import EVIDENCE
 from .incremental import needed_odds
@@ -377,7 +378,7 @@ class _Search:
 
     def _with_loops(self) -> DeadReckoning:
         tested, accepted = self._tested, self._accepted
-        loops = Factors(
+        loops = Measurements(
             tested.first[accepted],
             tested.second[accepted],
             tested.transform[accepted],
