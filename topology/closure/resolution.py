@@ -67,34 +67,30 @@ def blurred(
     order = np.lexsort((b, a, -weight[b], -weight[a]))
     a, b = a[order], b[order]
     sigmas = _sigmas_within(reckoning, estimate, a, b, resolution_m)
+
+    def is_sure(u: int, v: int, sigmas_below: float) -> bool:
+        return sigmas_below > SURE_SIGMAS
+
+    def are_forks(u: int, v: int, sigmas_below: float) -> bool:
+        """Whether v and a part of u, which one drive-by reported, are two forks of one crossing."""
+        return any(frozenset((v, part)) in apart for part in np.flatnonzero(target == u).tolist())
+
+    pairs = list(zip(a.tolist(), b.tolist(), sigmas.tolist(), strict=True))
     identifications = []
-    for u, v, sigmas_below in zip(a.tolist(), b.tolist(), sigmas.tolist(), strict=True):
-        if sigmas_below > SURE_SIGMAS and target[u] == u and target[v] == v:
-            target[v] = u
-            identifications.append(_identified(reckoning, place, (u, v), sigmas_below))
-    # Two places that one drive-by reported may still be the two forks of one crossing.
-    for u, v, sigmas_below in zip(a.tolist(), b.tolist(), sigmas.tolist(), strict=True):
-        parts = np.flatnonzero(target == u).tolist()
-        if (
-            target[u] == u
-            and target[v] == v
-            and any({v, part} in apart for part in parts if part != u)
-        ):
-            target[v] = u
-            identifications.append(_identified(reckoning, place, (u, v), sigmas_below))
+    for rule in (is_sure, are_forks):
+        for u, v, sigmas_below in pairs:
+            if target[u] == u and target[v] == v and rule(u, v, sigmas_below):
+                target[v] = u
+                identifications.append(_identified(reckoning, place, (u, v), sigmas_below))
     return Blurred(target, _mean_positions(estimate.xy, target, weight), identifications)
 
 
 def _mean_positions(xy: FloatArray, target: IntArray, weight: FloatArray) -> FloatArray:
-    """(n, 2) weighted mean positions of joined places; weights `seen` (n,)."""
-    mean_xy, single = xy.copy(), np.bincount(target, minlength=len(target)) < 2
+    """(n, 2) weighted mean positions of joined places (those with the same `target`)."""
     total = np.bincount(target, weight, len(target))
-    mean = [
-        np.bincount(target, weight * column, len(target)) / np.maximum(total, 1e-9)
-        for column in xy.T
-    ]
-    mean_xy[~single] = np.column_stack(mean)[~single]
-    return mean_xy
+    mean = [np.bincount(target, weight * x, len(target)) / np.maximum(total, 1e-9) for x in xy.T]
+    is_joined = np.bincount(target, minlength=len(target)) > 1
+    return np.where(is_joined[:, None], np.column_stack(mean), xy)
 
 
 def _reported_apart(
