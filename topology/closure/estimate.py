@@ -61,8 +61,8 @@ class Estimate:
     xy: (n, 2) position of every place; node: (n,) its vertex in the pose graph: one of its own if
     it has several passes, else its pass. sighting: (k,) pass of each observation factor;
     sighting_chi2: (k,) its squared Mahalanobis error; loop_chi2: the same of each of the loops.
-    reduced_chi2: mean squared error per degree of freedom, 1 if the noise model is right; freedom:
-    degrees of freedom, without those of loops.
+    reduced_chi2: squared errors, up to the gate each, per degree of freedom, 1 if the noise model
+    is right; freedom: degrees of freedom, without those of loops.
     """
 
     pose: FloatArray
@@ -139,6 +139,7 @@ def optimise(
     )
     graph, solution, chi2 = _solve_with_gate(graph, slice(len(legs), end_loops))
     freedom = 3 * (len(sightings) - len(centres)) + len(corridor_factors) - len(corridor_poses)
+    within_gate = np.minimum(chi2, LIKELIHOOD.gate_chi2(3))
     return Estimate(
         pose=solution.pose[:count],
         xy=solution.pose[node, :2],
@@ -146,7 +147,7 @@ def optimise(
         sighting=sightings.source,
         sighting_chi2=solution.edge_chi2[len(legs) : end_sightings],
         loop_chi2=solution.edge_chi2[end_sightings:end_loops],
-        reduced_chi2=_reduced_chi2(chi2, freedom, LIKELIHOOD.gate_chi2(3)),
+        reduced_chi2=float(within_gate.sum()) / freedom if freedom else 1.0,
         freedom=freedom,
         graph=graph,
         solution=solution,
@@ -231,17 +232,6 @@ def _solve_with_gate(graph: PoseGraph, observed: slice) -> tuple[PoseGraph, Solu
     kernel[observed] = gate
     robust = replace(graph, pose=solution.pose, kernel=kernel)
     return robust, solve(robust, settings), solution.edge_chi2
-
-
-def _reduced_chi2(chi2: FloatArray, freedom: int, gate: float) -> float:
-    """Σ χ² per degree of freedom, with edges beyond the gate counted as on it; 1 without
-    freedom."""
-    if freedom == 0:
-        return 1.0
-    reduced = float(chi2.sum()) / freedom
-    for _ in range(20):
-        reduced = float(np.minimum(chi2, gate * reduced).sum()) / freedom
-    return reduced
 
 
 def _priors(grid: GridHeadings | None, corridors: GridCorridors | None, first_line: int) -> Priors:
