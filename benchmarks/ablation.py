@@ -214,7 +214,6 @@ REPLACED = {
 """Mechanisms without such a field: module or class, function, and its replacement."""
 
 WHOLE = {
-    "calibration doubt": (mapping, "CALIBRATION_DOUBT", 1.0),
     "calibration": (pass_source, "calibrate", lambda *args: calibration.Calibration()),
     "calibration: lag": (
         calibration,

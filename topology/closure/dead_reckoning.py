@@ -14,22 +14,6 @@ from ..run import NOT_SEEN_AGAIN, SeenAgain
 from ..topomap import RunNoise
 from ..track import interpolated, piece_of, stretch_of, track_directions, way_at
 
-RANDOM = slice(7)
-"""Columns of `DeadReckoning.sums` that hold variances."""
-
-
-@dataclass(frozen=True, slots=True)
-class SystematicErrors:
-    """1 sigma of the odometry's constant errors.
-
-    Scale is not among them, because a scaled map still closes all of its loops.
-    """
-
-    turn_rad_per_m: float = 0.0005
-    """Heading bias per metre driven."""
-    turn_rad_per_rad: float = 0.01
-    """Relative error of turns."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DeadReckoning:
@@ -38,14 +22,13 @@ class DeadReckoning:
     piece: (p,) unbroken piece of odometry of each pass. leg: (p - 1,) distance driven from each
     pass to the next [m], NaN across a break or a jump. arriving, leaving: (p,) headings [rad] from
     the place to where the robot came from and went to, NaN where unknown. aside: (p,) distance at
-    which the robot passed the place [m]. sums: (p, 13) prefix sums over the odometry up to each
+    which the robot passed the place [m]. sums: (p, 7) prefix sums over the odometry up to each
     pass (see `_prefix_sums`), about `origin` (p, 2), the centroid of the pass's piece; jumps: (p,
     7) the same for the variances of jumps; loops: between passes, as views measured them.
     """
 
     passes: Passes
     noise: RunNoise
-    systematic: SystematicErrors
     piece: IntArray
     leg: FloatArray
     arriving: FloatArray
@@ -61,11 +44,7 @@ class DeadReckoning:
 
 
 def dead_reckoning(
-    odometry: Odometry,
-    passes: Passes,
-    noise: RunNoise,
-    systematic: SystematicErrors = SystematicErrors(),
-    revisits: SeenAgain = NOT_SEEN_AGAIN,
+    odometry: Odometry, passes: Passes, noise: RunNoise, revisits: SeenAgain = NOT_SEEN_AGAIN
 ) -> DeadReckoning:
     """Dead reckoning of a run. O(n + p log n) for n odometry rows and p passes.
 
@@ -79,7 +58,6 @@ def dead_reckoning(
     return DeadReckoning(
         passes=passes,
         noise=noise,
-        systematic=systematic,
         piece=piece,
         leg=leg,
         arriving=track.arriving,
@@ -145,7 +123,7 @@ def scale_noise(reckoning: DeadReckoning, factor: float) -> DeadReckoning:
         branch_rad=factor * n.branch_rad,
     )
     sums = reckoning.sums.copy()
-    sums[:, RANDOM] *= factor**2
+    sums *= factor**2
     return replace(reckoning, noise=noise, sums=sums)
 
 
@@ -164,23 +142,20 @@ def _about_centroids(odometry: Odometry) -> tuple[FloatArray, FloatArray]:
 def _prefix_sums(
     odometry: Odometry, passes: Passes, noise: RunNoise, centred: FloatArray
 ) -> FloatArray:
-    """(p, 13) sums over all odometry steps before each pass.
+    """(p, 7) sums over all odometry steps before each pass.
 
-    Columns: Σq, Σq x, Σq y, Σq x², Σq xy, Σq y² with q the heading variance of a step; Στ² ds;
-    Σds, Σds x, Σds y; Σdθ, Σdθ x, Σdθ y.
+    Columns: Σq, Σq x, Σq y, Σq x², Σq xy, Σq y² with q the heading variance of a step; Στ² ds.
     """
     step, turn = odometry.step_m, odometry.turn_rad
     x, y = centred.T
     heading_variance = noise.heading_rad_per_sqrt_m**2 * step
     heading_variance = heading_variance + noise.heading_rad_per_sqrt_rad**2 * np.abs(turn)
     along_variance = noise.along_m_per_sqrt_m**2 * step
-    variances = _variances(heading_variance, along_variance, x, y)
-    systematic = [step, step * x, step * y, turn, turn * x, turn * y]
-    return _up_to_passes(odometry, passes, variances + systematic)
+    return _up_to_passes(odometry, passes, _variances(heading_variance, along_variance, x, y))
 
 
 def _jump_sums(odometry: Odometry, passes: Passes, centred: FloatArray) -> FloatArray:
-    """(p, 7) the variance columns of `_prefix_sums`, over the jumps only."""
+    """(p, 7) the columns of `_prefix_sums`, over the jumps only."""
     heading_variance, along_variance = np.zeros(len(odometry)), np.zeros(len(odometry))
     along_variance[odometry.jumps], heading_variance[odometry.jumps] = odometry.jump_sigma.T**2
     x, y = centred.T
@@ -200,13 +175,12 @@ def _up_to_passes(odometry: Odometry, passes: Passes, columns: list[FloatArray])
 def relative_covariance(reckoning: DeadReckoning, first: IntArray, second: IntArray) -> FloatArray:
     """(k, 3, 3) covariance of pass `second`'s x, y, theta as dead reckoned from pass `first`.
 
-    Random walk and jumps only; see `systematic_modes` for the constant errors. Axes are those of
-    the odometry frame; theta is the error of that frame's heading. Closed form from prefix sums,
-    O(1) per pair. Per step between: position p, variances q of heading and τ² ds of position. With
-    S0 = Σq, S1 = Σq p, S2 = Σq p pᵀ, second pass c and J the rotation by 90°: C_θθ = S0,
-    C_xyθ = J (S0 c - S1), C_xy = Στ² ds I + J (S0 c cᵀ - S1 cᵀ - c S1ᵀ + S2) Jᵀ.
+    Axes are those of the odometry frame; theta is the error of that frame's heading. Closed
+    form from prefix sums, O(1) per pair. Per step between: position p, variances q of heading and
+    τ² ds of position. With S0 = Σq, S1 = Σq p, S2 = Σq p pᵀ, second pass c and J the rotation by
+    90°: C_θθ = S0, C_xyθ = J (S0 c - S1), C_xy = Στ² ds I + J (S0 c cᵀ - S1 cᵀ - c S1ᵀ + S2) Jᵀ.
     """
-    sums = _increase(reckoning.sums[:, RANDOM] + reckoning.jumps, first, second)
+    sums = _increase(reckoning.sums + reckoning.jumps, first, second)
     c = (reckoning.passes.centre - reckoning.origin)[second]
     s0, s1x, s1y, s2xx, s2xy, s2yy, along = sums.T
     x, y = c.T
@@ -221,37 +195,6 @@ def relative_covariance(reckoning: DeadReckoning, first: IntArray, second: IntAr
     covariance[:, 0, 2] = covariance[:, 2, 0] = -(s0 * y - s1y)
     covariance[:, 1, 2] = covariance[:, 2, 1] = s0 * x - s1x
     covariance[:, 2, 2] = s0
-    return covariance
-
-
-def systematic_modes(reckoning: DeadReckoning, first: IntArray, second: IntArray) -> FloatArray:
-    """(k, 3, 2) derivatives of pass `second`'s x, y, theta, relative to `first`, by the constant
-    errors.
-
-    Last axis: turn per metre, turn per radian (`SystematicErrors`). Exact sums over the odometry
-    rows, for first <= second.
-    """
-    sums = _increase(reckoning.sums, first, second)
-    c = (reckoning.passes.centre - reckoning.origin)[second]
-    modes = np.zeros((len(sums), 3, 2))
-    for mode, column in ((0, 7), (1, 10)):
-        l0, l1x, l1y = sums[:, column], sums[:, column + 1], sums[:, column + 2]
-        modes[:, 0, mode] = -(l0 * c[:, 1] - l1y)
-        modes[:, 1, mode] = l0 * c[:, 0] - l1x
-        modes[:, 2, mode] = l0
-    return modes
-
-
-def dead_reckoning_covariance(
-    reckoning: DeadReckoning, first: IntArray, second: IntArray
-) -> FloatArray:
-    """(k, 3, 3) `relative_covariance` including the systematic errors."""
-    modes = systematic_modes(reckoning, first, second)
-    systematic = reckoning.systematic
-    modes = modes * np.array([systematic.turn_rad_per_m, systematic.turn_rad_per_rad])
-    covariance: FloatArray = relative_covariance(
-        reckoning, first, second
-    ) + modes @ modes.transpose(0, 2, 1)
     return covariance
 
 

@@ -11,19 +11,12 @@ from ..circular import cluster_angles
 from ..columns import joined
 from ..matching.likelihood import LIKELIHOOD
 from ..passes import ONE_WAY_RAD
-from ..posegraph.graph import (
-    NO_MEASUREMENTS,
-    Measurements,
-    PoseGraph,
-    Priors,
-    SharedErrors,
-    Solution,
-)
+from ..posegraph.graph import NO_MEASUREMENTS, Measurements, PoseGraph, Priors, Solution
 from ..posegraph.marginals import Marginals
 from ..posegraph.samples import SampledMarginals
 from ..posegraph.solve import SolverSettings, solve
 from ..se2 import turned, wrap
-from .dead_reckoning import DeadReckoning, relative_covariance, systematic_modes
+from .dead_reckoning import DeadReckoning, relative_covariance
 from .manhattan import GridCorridors, GridHeadings
 
 GAP_M = 20.0
@@ -106,9 +99,8 @@ def optimise(
 
     Nodes of the pose graph are the passes (at their centre, rotated like the odometry frame) and
     the places with several passes. Edges are the legs between consecutive passes, the observations
-    of places by passes, and the loops of `reckoning`; the systematic errors of the odometry are
-    variables shared by all legs. A corridor of the grid is a node as well: a line that its passes
-    lie on.
+    of places by passes, and the loops of `reckoning`. A corridor of the grid is a node as well:
+    a line that its passes lie on.
     """
     count = len(reckoning)
     if start is None:
@@ -121,11 +113,8 @@ def optimise(
     factors = joined([legs, sightings, loops, corridor_factors])
     end_sightings = len(legs) + len(sightings)
     end_loops, edges = end_sightings + len(loops), len(factors)
-    sensitivity, kernel = np.zeros((edges, 3, 2)), np.full(edges, np.inf)
-    sensitivity[: len(legs)] = systematic_modes(reckoning, legs.source, legs.target)
+    kernel = np.full(edges, np.inf)
     kernel[end_loops:] = ESTIMATE.grid_kernel
-    systematic = reckoning.systematic
-    shared_sigma = np.array([systematic.turn_rad_per_m, systematic.turn_rad_per_rad])
     graph = PoseGraph(
         pose=np.vstack([start, centres, corridor_poses]),
         source=factors.source,
@@ -134,7 +123,6 @@ def optimise(
         information=factors.information,
         kernel=kernel,
         priors=_priors(grid, corridors, nodes),
-        shared=SharedErrors(sensitivity, shared_sigma),
         swing=np.where(np.arange(edges) < len(legs), _SWING, 0.0),
     )
     graph, solution, chi2 = _solve_with_gate(graph, slice(len(legs), end_loops))

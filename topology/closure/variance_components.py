@@ -19,7 +19,7 @@ from ..odometry import Odometry
 from ..posegraph.graph import edge_errors, prior_errors
 from ..posegraph.samples import SampledMarginals, square_root
 from ..topomap import RunNoise
-from .dead_reckoning import RANDOM, DeadReckoning, dead_reckoning
+from .dead_reckoning import DeadReckoning, dead_reckoning
 from .estimate import ESTIMATE, Estimate, leg_covariance, optimise
 from .manhattan import GridHeadings, with_spread
 
@@ -148,9 +148,7 @@ def _reckonings_by_walk(reckoning: DeadReckoning, odometry: Odometry) -> list[De
     walk."""
     none = RunNoise(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     noises = [replace(none, **{name: 1.0}) for name in COMPONENTS[:_WALKS]]
-    units = (
-        dead_reckoning(odometry, reckoning.passes, noise, reckoning.systematic) for noise in noises
-    )
+    units = (dead_reckoning(odometry, reckoning.passes, noise) for noise in noises)
     # Errors of jumps are not noise, and would be counted once for every component.
     return [replace(unit, jumps=np.zeros_like(unit.jumps)) for unit in units]
 
@@ -166,10 +164,7 @@ def _with_variances(
 ) -> DeadReckoning:
     """Dead reckoning with other variances of its components, in which its sums are linear."""
     sigma = dict(zip(COMPONENTS, np.sqrt(variance).tolist(), strict=False))
-    sums = reckoning.sums.copy()
-    sums[:, RANDOM] = sum(
-        float(v) * unit.sums[:, RANDOM] for v, unit in zip(variance[:_WALKS], units, strict=True)
-    )
+    sums = sum(float(v) * unit.sums for v, unit in zip(variance[:_WALKS], units, strict=True))
     return replace(reckoning, noise=replace(reckoning.noise, **sigma), sums=sums)
 
 

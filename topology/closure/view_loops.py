@@ -21,7 +21,7 @@ from ..posegraph.graph import Measurements
 from ..ragged import numbered
 from ..se2 import between, compose, inverse, turned_axes, wrap
 from .candidates import pairs_within
-from .dead_reckoning import DeadReckoning, dead_reckoning_covariance
+from .dead_reckoning import DeadReckoning, relative_covariance
 from .estimate import Estimate, optimise
 from .evidence import EVIDENCE
 from .incremental import needed_odds
@@ -168,7 +168,7 @@ class _Search:
         shift = between(self._estimate.pose[i], self._estimate.pose[j])
         if not len(self._accepted):
             doubt = VIEW_LOOPS.doubt**2
-            return shift, dead_reckoning_covariance(self._reckoning, i, j) * doubt
+            return shift, relative_covariance(self._reckoning, i, j) * doubt
         return shift, self._estimate.relative_covariance(i, j)
 
     def _register_null_pairs(self) -> None:
