@@ -23,7 +23,7 @@ class DeadReckoning:
     pass to the next [m], NaN across a break or a jump. arriving, leaving: (p,) headings [rad] from
     the place to where the robot came from and went to, NaN where unknown. aside: (p,) distance at
     which the robot passed the place [m]. sums: (p, 7) prefix sums over the odometry up to each
-    pass (see `_prefix_sums`), about `origin` (p, 2), the centroid of the pass's piece; jumps: (p,
+    pass (see `_variance_sums`), about `origin` (p, 2), the centroid of the pass's piece; jumps: (p,
     7) the same for the variances of jumps; loops: between passes, as views measured them.
     """
 
@@ -54,7 +54,6 @@ def dead_reckoning(
     piece = piece_of(odometry, passes.time_ns)
     leg = np.where(np.diff(stretch_of(odometry, passes.time_ns)) == 0, np.diff(way), np.nan)
     track = track_directions(odometry, passes.time_ns, passes.centre)
-    centroids, centred = _about_centroids(odometry)
     return DeadReckoning(
         passes=passes,
         noise=noise,
@@ -63,9 +62,9 @@ def dead_reckoning(
         arriving=track.arriving,
         leaving=track.leaving,
         aside=np.hypot(*(odometry.at(passes.time_ns)[:, :2] - passes.centre).T),
-        origin=centroids[piece],
-        sums=_prefix_sums(odometry, passes, noise, centred),
-        jumps=_jump_sums(odometry, passes, centred),
+        origin=_about_centroids(odometry)[0][piece],
+        sums=walk_sums(odometry, passes, noise),
+        jumps=_jump_sums(odometry, passes),
         loops=_loops_of_passes(odometry, passes, noise, revisits),
     )
 
@@ -139,36 +138,29 @@ def _about_centroids(odometry: Odometry) -> tuple[FloatArray, FloatArray]:
     return centroids, position - centroids[piece]
 
 
-def _prefix_sums(
-    odometry: Odometry, passes: Passes, noise: RunNoise, centred: FloatArray
-) -> FloatArray:
-    """(p, 7) sums over all odometry steps before each pass.
-
-    Columns: Σq, Σq x, Σq y, Σq x², Σq xy, Σq y² with q the heading variance of a step; Στ² ds.
-    """
-    step, turn = odometry.step_m, odometry.turn_rad
-    x, y = centred.T
+def walk_sums(odometry: Odometry, passes: Passes, noise: RunNoise) -> FloatArray:
+    """(p, 7) `_variance_sums` of the odometry's random walks."""
+    step, turn = odometry.step_m, np.abs(odometry.turn_rad)
     heading_variance = noise.heading_rad_per_sqrt_m**2 * step
-    heading_variance = heading_variance + noise.heading_rad_per_sqrt_rad**2 * np.abs(turn)
-    along_variance = noise.along_m_per_sqrt_m**2 * step
-    return _up_to_passes(odometry, passes, _variances(heading_variance, along_variance, x, y))
+    heading_variance = heading_variance + noise.heading_rad_per_sqrt_rad**2 * turn
+    return _variance_sums(odometry, passes, heading_variance, noise.along_m_per_sqrt_m**2 * step)
 
 
-def _jump_sums(odometry: Odometry, passes: Passes, centred: FloatArray) -> FloatArray:
-    """(p, 7) the columns of `_prefix_sums`, over the jumps only."""
+def _jump_sums(odometry: Odometry, passes: Passes) -> FloatArray:
+    """(p, 7) `_variance_sums` of the odometry's jumps."""
     heading_variance, along_variance = np.zeros(len(odometry)), np.zeros(len(odometry))
     along_variance[odometry.jumps], heading_variance[odometry.jumps] = odometry.jump_sigma.T**2
-    x, y = centred.T
-    return _up_to_passes(odometry, passes, _variances(heading_variance, along_variance, x, y))
+    return _variance_sums(odometry, passes, heading_variance, along_variance)
 
 
-def _variances(q: FloatArray, along: FloatArray, x: FloatArray, y: FloatArray) -> list[FloatArray]:
-    return [q, q * x, q * y, q * x * x, q * x * y, q * y * y, along]
-
-
-def _up_to_passes(odometry: Odometry, passes: Passes, columns: list[FloatArray]) -> FloatArray:
-    """Sums of the columns over the odometry steps before each pass."""
-    sums = np.cumsum(np.stack(columns, axis=1), axis=0)
+def _variance_sums(
+    odometry: Odometry, passes: Passes, q: FloatArray, along: FloatArray
+) -> FloatArray:
+    """(p, 7) sums over all odometry steps before each pass: Σq, Σq x, Σq y, Σq x², Σq xy, Σq y²
+    with q (n,) the heading variance of a step, and Σ of its variance along the way (n,)."""
+    x, y = _about_centroids(odometry)[1].T
+    columns = np.stack([q, q * x, q * y, q * x * x, q * x * y, q * y * y, along], axis=1)
+    sums = np.cumsum(columns, axis=0)
     return np.stack([interpolated(odometry, column, passes.time_ns) for column in sums.T], axis=1)
 
 
