@@ -12,7 +12,7 @@ import numpy as np
 from ..topology.arrays import FloatArray, IntArray
 from ..topology.closure.alternatives import most_likely_closure
 from ..topology.closure.answers import Identification
-from ..topology.closure.certainty import place_errors, seen_alike
+from ..topology.closure.certainty import place_errors, shared_centre_sigma
 from ..topology.closure.dead_reckoning import DeadReckoning, dead_reckoning
 from ..topology.closure.estimate import set_apart
 from ..topology.closure.incremental import Closed, closure_without_grid, full_closure, unclosed
@@ -229,7 +229,7 @@ def _measure_hidden_errors(
     passes, noise = fitted.passes, fitted.noise
     scale = refine_scale(odometry, _usable_detections(run), passes, noise, too_long=too_long)
     noise = replace(noise, scale=significant(scale))
-    alike = None if source.shared_m is None else seen_alike(source.shared_m, noise)
+    alike = None if source.shared_m is None else shared_centre_sigma(source.shared_m, noise)
     if alike is not None:
         noise = replace(noise, shared_centre_m=significant(float(np.median(alike))))
     return replace(fitted, noise=noise), alike

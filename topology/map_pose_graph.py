@@ -47,7 +47,7 @@ def odometry_measurements(topomap: TopoMap) -> Measurements:
     cov[:, 2, 2] = (walk + 2 * swing) / times + LEAST_TURN_RAD**2
     _, discounted = length_variances(topomap)
     cov *= (1 + discounted / cov[:, 0, 0])[:, None, None]
-    keep = np.flatnonzero(topomap.source != topomap.target)  # a loop tells nothing of its junction
+    keep = np.flatnonzero(topomap.source != topomap.target)  # a loop constrains no other junction
     source, target = topomap.source[keep], topomap.target[keep]
     step = topomap.xy[target] - topomap.xy[source]
     axes = turned_axes(np.arctan2(step[:, 1], step[:, 0]))

@@ -51,8 +51,8 @@ class Model(BaseModel):
 
 
 class Attributes(Model):
-    """What a document says of a graph as a whole. Unknown values are kept to be written again, so
-    that numbers too large for a float, which are read as infinite, are refused."""
+    """Attributes of a graph as a whole. Unknown ones are kept and written again, so that numbers
+    too large for a float, which are read as infinite, are refused."""
 
     @model_validator(mode="after")
     def _finite(self) -> Self:
@@ -168,7 +168,7 @@ class ClosureRecord(Model):
     """
 
     time_ns: tuple[Nanoseconds, Nanoseconds] = Field(
-        description="Times of the two passes that were asked to be one place."
+        description="Times of the two passes that were compared."
     )
     accepted: bool = Field(description="Whether they were taken for one place.")
     bits: Finite = Field(description="Evidence: log2 of the odds that they are one place.")
@@ -179,8 +179,8 @@ class ClosureRecord(Model):
     )
     revised: bool = Field(
         False,
-        description="Another answer stands: the two passes were identified later, or their places "
-        "were asked about again, and it may have been no for another reason.",
+        description="A later answer replaces this one: the two passes were identified in a later "
+        "round, or refused again, perhaps for another reason.",
     )
 
 
@@ -201,8 +201,8 @@ class MapGraph(Attributes):
     pieces: int = Field(
         1,
         ge=1,
-        description="Parts of which nothing tells how they lie to each other; they are drawn side "
-        "by side.",
+        description="Number of parts whose relative poses are unknown: they are drawn side by "
+        "side.",
     )
     shows_bends: bool = Field(
         True,
@@ -239,7 +239,8 @@ class MapGraph(Attributes):
         None, description="Shares of the way that the map covers, in scans and along corridors."
     )
     jumps: list[Any] | None = Field(
-        None, description="Where the odometry jumped, and by how much, as places seen again tell."
+        None,
+        description="Where the odometry jumped, and by how much, estimated from revisited places.",
     )
     views: ViewsRecord | None = Field(
         None,
@@ -251,7 +252,7 @@ class MapGraph(Attributes):
 ABOUT = frozenset(
     {"pieces", "source", "settings", "warnings", "calibration", "driven", "jumps", "views"}
 )
-"""Fields of `MapGraph` that tell how a map was made: `TopoMap.info`."""
+"""Fields of `MapGraph` that describe how a map was made: `TopoMap.info`."""
 
 
 class MapDocument(Model):
@@ -265,7 +266,7 @@ class MapDocument(Model):
     )
     directed: Literal[False] = Field(description="For networkx: corridors lead both ways.")
     multigraph: Literal[True] = Field(description="For networkx: several may join two vertices.")
-    graph: MapGraph = Field(description="What is said of the map as a whole.")
+    graph: MapGraph = Field(description="Attributes of the map as a whole.")
     nodes: list[MapNode] = Field(description="The junctions, bends and dead ends.")
     edges: list[MapEdge] = Field(description="The corridors between them.")
 

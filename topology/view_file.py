@@ -43,7 +43,7 @@ def views_path(document: Path) -> Path:
 
 
 def record_of(views: Views) -> Record:
-    """What a document says of its map's views."""
+    """The record of a map's views in its document."""
     content = _content(views)
     return {"count": len(views), "digest": hashlib.blake2b(content, digest_size=16).hexdigest()}
 
@@ -83,7 +83,7 @@ def _content(views: Views) -> bytes:
 
 def with_views(topomap: TopoMap, document: Path) -> TopoMap:
     """A map that was read from a document, with the views beside it. If they are lost or damaged it
-    is returned as it is, and says so (`TopoMap.views_lost`)."""
+    is returned without, with `TopoMap.views_lost` set."""
     record = topomap.info.get("views")
     if record is None:
         return topomap

@@ -23,7 +23,7 @@ from .dead_reckoning import DeadReckoning, scale_noise
 from .estimate import Estimate, optimise
 from .evidence import background, measured_rates
 from .growth import MapState
-from .joint_compatibility import NO_AGREEMENT, Agreement, agreeing
+from .joint_compatibility import NO_AGREEMENT, Agreement, jointly_certain
 from .lattice import lattice_of
 from .manhattan import GridCorridors, GridHeadings, grid_corridors, grid_headings
 from .places import Places, tabulate
@@ -140,7 +140,9 @@ class _Closure:
         found = take(found, found.fits)
         agreement = NO_AGREEMENT
         if not certain_now and exact:
-            agreement = agreeing(self._estimate, found, state.common, least_odds=self._least_odds)
+            agreement = jointly_certain(
+                self._estimate, found, state.common, least_odds=self._least_odds
+            )
             certain_now = _together(state.places, found, agreement)
         refused = _refused(state.places, found, agreement, self._least_odds)
         self._refused = [replace(q, round=number) for q in refused]

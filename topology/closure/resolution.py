@@ -30,7 +30,7 @@ REASON = "nearer than scans can tell two junctions apart"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Blurred:
+class JoinedPlaces:
     """Places after joining.
 
     place: (n,) the place that each one was joined to, mostly itself; xy: (n, 2) [m] weighted mean
@@ -42,9 +42,9 @@ class Blurred:
     identifications: list[Identification] = field(default_factory=list)
 
 
-def blurred(
+def join_below_resolution(
     reckoning: DeadReckoning, place: IntArray, estimate: Estimate, resolution_m: float
-) -> Blurred:
+) -> JoinedPlaces:
     """The places of an estimate, with those below the resolution joined.
 
     place: (p,) of each pass, none negative; resolution_m: least distance of junctions that show as
@@ -52,13 +52,13 @@ def blurred(
     """
     target = np.arange(len(estimate.xy), dtype=np.int64)
     if resolution_m <= 0 or len(target) < 2:
-        return Blurred(target, estimate.xy)
+        return JoinedPlaces(target, estimate.xy)
     close = cKDTree(estimate.xy).query_pairs(resolution_m, output_type="ndarray").astype(np.int64)
     apart = _reported_apart(reckoning, place, resolution_m)
     allowed = [k for k, pair in enumerate(close.tolist()) if frozenset(pair) not in apart]
     a, b = close[allowed].T
     if len(a) == 0:
-        return Blurred(target, estimate.xy)
+        return JoinedPlaces(target, estimate.xy)
     # Of each pair the one seen better first, and the pairs of the best first; ties by number.
     weight_of_pass = reckoning.passes.messages * reckoning.passes.confidence
     weight = np.asarray(np.bincount(place, weight_of_pass, len(target)), np.float64)
@@ -82,7 +82,7 @@ def blurred(
             if target[u] == u and target[v] == v and rule(u, v, sigmas_below):
                 target[v] = u
                 identifications.append(_identified(reckoning, place, (u, v), sigmas_below))
-    return Blurred(target, _mean_positions(estimate.xy, target, weight), identifications)
+    return JoinedPlaces(target, _mean_positions(estimate.xy, target, weight), identifications)
 
 
 def _mean_positions(xy: FloatArray, target: IntArray, weight: FloatArray) -> FloatArray:
