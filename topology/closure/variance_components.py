@@ -159,7 +159,9 @@ def _with_variances(
 ) -> DeadReckoning:
     """Dead reckoning with other variances of its components, in which its sums are linear."""
     sigma = dict(zip(COMPONENTS, np.sqrt(variance).tolist(), strict=False))
-    sums = sum(float(v) * unit.sums for v, unit in zip(variance[:_WALKS], units, strict=True))
+    sums = np.zeros_like(reckoning.sums)
+    for walk_variance, unit in zip(variance[:_WALKS].tolist(), units, strict=True):
+        sums += walk_variance * unit.sums
     return replace(reckoning, noise=replace(reckoning.noise, **sigma), sums=sums)
 
 
