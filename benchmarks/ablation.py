@@ -106,7 +106,6 @@ NUMBERS: dict[str, dict[str, float]] = {
     "closed again: strict": {"ROUNDS.strict_wrong_share": 0.1},
     "phantoms": {"PHANTOM.least_odds": ALWAYS},
     "phantoms: straight": {"PHANTOM.straight_gain": 0.0},
-    "phantoms: least miss rate": {"PHANTOM.least_miss_rate": 1e-6},
     "views: loops": {"VIEW_LOOPS.tests": 0},
     "views: doubt": {"VIEW_LOOPS.doubt": 1.0},
 }

@@ -36,8 +36,6 @@ class PhantomSettings:
     """Log odds [nats] of a phantom that are added for a place with two opposite branches only."""
     least_odds: float = 2.0
     """Log odds [nats] of a phantom at which a place is removed."""
-    least_miss_rate: float = 0.1
-    """Lower bound of the miss rate of a junction that was missed once: causes persist."""
 
 
 PHANTOM = PhantomSettings()
@@ -155,7 +153,8 @@ def phantoms(reckoning: DeadReckoning, places: Places, unseen: IntArray) -> Bool
     unseen: (n,) number of passes by each place without a detection.
     """
     noise = reckoning.noise
-    miss = max(2 * noise.miss_rate, PHANTOM.least_miss_rate)
+    # Causes persist: what was missed once is missed twice as often.
+    miss = 2 * noise.miss_rate
     invented = max(noise.phantom_rate, LIKELIHOOD.fault_floor)
     odds = places.visits * np.log(invented) - unseen * np.log(miss)
     count = np.isfinite(places.heading).sum(axis=1)
