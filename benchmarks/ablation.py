@@ -104,9 +104,8 @@ NUMBERS: dict[str, dict[str, float]] = {
     "grid kernel": {"ESTIMATE.grid_kernel": ALWAYS},
     "closed again": {"ROUNDS.most_crossing": ALWAYS},
     "closed again: strict": {"ROUNDS.strict_wrong_share": 0.1},
-    "phantoms": {"DRIVEN_BY.least_odds": ALWAYS},
-    "phantoms: straight": {"DRIVEN_BY.straight_gain": 0.0},
-    "phantoms: least miss rate": {"DRIVEN_BY.least_miss_rate": 1e-6},
+    "phantoms": {"PHANTOM.least_odds": ALWAYS},
+    "phantoms: straight": {"PHANTOM.straight_gain": 0.0},
     "views: loops": {"VIEW_LOOPS.tests": 0},
     "views: doubt": {"VIEW_LOOPS.doubt": 1.0},
 }
@@ -119,7 +118,7 @@ CONSTANTS = {
     "LATTICE": lattice.LATTICE,
     "GROWTH": growth.GROWTH,
     "ESTIMATE": estimate.ESTIMATE,
-    "DRIVEN_BY": missed_detections.DRIVEN_BY,
+    "PHANTOM": missed_detections.PHANTOM,
     "VIEW_LOOPS": view_loops.VIEW_LOOPS,
 }
 
@@ -203,18 +202,17 @@ REPLACED = {
     ),
     "resolution": (
         missed_detections,
-        "blurred",
-        lambda reckoning, place, estimate, resolution_m: resolution.blurred(
+        "join_below_resolution",
+        lambda reckoning, place, estimate, resolution_m: resolution.join_below_resolution(
             reckoning, place, estimate, 0.0
         ),
     ),
     "fitted noise: level": (variance_components, "_odometry_level", lambda *args: 1.0),
-    "errors shared by passes": (mapping, "seen_alike", lambda *args: None),
+    "errors shared by passes": (mapping, "shared_centre_sigma", lambda *args: None),
 }
 """Mechanisms without such a field: module or class, function, and its replacement."""
 
 WHOLE = {
-    "calibration doubt": (mapping, "CALIBRATION_DOUBT", 1.0),
     "calibration": (pass_source, "calibrate", lambda *args: calibration.Calibration()),
     "calibration: lag": (
         calibration,

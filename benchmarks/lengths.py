@@ -78,7 +78,7 @@ def rows_of(kind: str, run: Run, truth: Truth) -> list[Row]:
     vertex = true_vertex_of_passes(truth, run.name, passes.time_ns)
     known = np.unique(vertex[vertex >= 0])
     place = np.where(vertex >= 0, np.searchsorted(known, vertex), -1)
-    told = dead_reckoning(odometry, passes, true_noise(passes), reckoning.systematic)
+    told = dead_reckoning(odometry, passes, true_noise(passes))
     closed, fit = close_loops(reckoning, odometry)
     ideal = optimise(told, place, closed.estimate.pose, grid=fit.grid)
     errors = place_errors(told, ideal, place, np.arange(len(known)), fit.grid)

@@ -12,8 +12,8 @@ import numpy as np
 from ..topology.arrays import FloatArray, IntArray
 from ..topology.closure.alternatives import most_likely_closure
 from ..topology.closure.answers import Identification
-from ..topology.closure.certainty import place_errors, seen_alike
-from ..topology.closure.dead_reckoning import DeadReckoning, SystematicErrors, dead_reckoning
+from ..topology.closure.certainty import place_errors, shared_centre_sigma
+from ..topology.closure.dead_reckoning import DeadReckoning, dead_reckoning
 from ..topology.closure.estimate import set_apart
 from ..topology.closure.incremental import Closed, closure_without_grid, full_closure, unclosed
 from ..topology.closure.missed_detections import CorrectedPlaces, correct_detections
@@ -40,9 +40,6 @@ from .odometry.calibration import Calibration, apply_calibration
 from .odometry.motion_errors import describe_scale, motion_errors, refine_scale
 from .odometry.noise import refine_noise
 from .pass_source import PassSource
-
-CALIBRATION_DOUBT = 1.5
-"""Factor on the calibration's own sigma, which assumes straight corridors."""
 
 _PHANTOM = "taken back: driven by unseen, so that the place is taken for a phantom"
 
@@ -154,8 +151,7 @@ def dead_reckoned(run: Run) -> tuple[Run, Odometry, DeadReckoning, Calibration]:
         passes = source.passes(odometry)
         noise = source.noise(odometry, passes)
     again = run.scanned.loops if run.scanned is not None else NOT_SEEN_AGAIN
-    systematic = _systematic(calibration)
-    reckoning = dead_reckoning(odometry, passes, noise, systematic, again)
+    reckoning = dead_reckoning(odometry, passes, noise, again)
     return run, odometry, reckoning, calibration
 
 
@@ -191,13 +187,6 @@ def _require_motion(run: Run) -> None:
         )
 
 
-def _systematic(calibration: Calibration) -> SystematicErrors:
-    """Constant errors left by the calibration: its sigma, and what it did not apply."""
-    left = np.hypot(calibration.sigma, np.subtract(calibration.estimate, calibration.applied))
-    per_m, per_rad, _ = (CALIBRATION_DOUBT * left).tolist()
-    return SystematicErrors(turn_rad_per_m=per_m, turn_rad_per_rad=per_rad)
-
-
 def _close_loops(
     odometry: Odometry, reckoning: DeadReckoning, source: PassSource
 ) -> tuple[Odometry, DeadReckoning, Closed, Fitted]:
@@ -207,7 +196,7 @@ def _close_loops(
         return odometry, reckoning, *close_loops(reckoning, odometry)
 
     def reckoning_of(track: Odometry) -> DeadReckoning:
-        return dead_reckoning(track, source.passes(track), reckoning.noise, reckoning.systematic)
+        return dead_reckoning(track, source.passes(track), reckoning.noise)
 
     measured = bridged(odometry, reckoning_of, closure_without_grid)
     driven = reckoning_of(measured)
@@ -240,7 +229,7 @@ def _measure_hidden_errors(
     passes, noise = fitted.passes, fitted.noise
     scale = refine_scale(odometry, _usable_detections(run), passes, noise, too_long=too_long)
     noise = replace(noise, scale=significant(scale))
-    alike = None if source.shared_m is None else seen_alike(source.shared_m, noise)
+    alike = None if source.shared_m is None else shared_centre_sigma(source.shared_m, noise)
     if alike is not None:
         noise = replace(noise, shared_centre_m=significant(float(np.median(alike))))
     return replace(fitted, noise=noise), alike

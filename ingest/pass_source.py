@@ -8,7 +8,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ..topology.arrays import FloatArray
-from ..topology.closure.dead_reckoning import SystematicErrors
 from ..topology.odometry import Odometry
 from ..topology.passes import Passes
 from ..topology.run import Run
@@ -18,8 +17,9 @@ from .odometry.calibration import Calibration, calibrate
 from .odometry.noise import NOISE, estimate_noise
 from .passes import fuse_passes, scanned_passes
 
-USUAL = SystematicErrors()
-"""Constant errors of an odometry that could not be calibrated."""
+USUAL_SIGMA = (0.0005, 0.01, 0.0)
+"""1 sigma of the heading errors left in an odometry that scans corrected: per metre [rad], per
+radian, and by a wrong clock [s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +58,7 @@ class PassSource:
         usual remaining errors."""
         if self.run.scanned is None:
             return calibrate(self.run.odometry, self.run.detections)
-        return Calibration(sigma=(USUAL.turn_rad_per_m, USUAL.turn_rad_per_rad, 0.0))
+        return Calibration(sigma=USUAL_SIGMA)
 
     def passes(self, odometry: Odometry) -> Passes:
         """The passes in the frame of the odometry as corrected so far."""

@@ -7,16 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, ConfigDict, Field, model_validator
 
-from ..topology.map_schema import (
-    Attributes,
-    Finite,
-    Index,
-    MapEdge,
-    Model,
-    Multigraph,
-    Undirected,
-    Vertex,
-)
+from ..topology.map_schema import Attributes, Finite, Index, MapEdge, Model, Vertex
 from .result import AcceptedBy, UnlistedPairs, Verdict
 
 MERGED_SCHEMA: Literal["topobatch.merged/1"] = "topobatch.merged/1"
@@ -280,8 +271,8 @@ class MergedDocument(Model):
     schema_name: Literal["topobatch.merged/1"] = Field(
         alias="schema", description="Name and version of this schema."
     )
-    directed: Undirected = Field(description="For networkx: corridors lead both ways.")
-    multigraph: Multigraph = Field(description="For networkx: several may join two vertices.")
+    directed: Literal[False] = Field(description="For networkx: corridors lead both ways.")
+    multigraph: Literal[True] = Field(description="For networkx: several may join two vertices.")
     graph: MergedGraph = Field(description="What is said of the merge as a whole.")
     nodes: list[MergedNode] = Field(description="The fused vertices of all components.")
     edges: list[MergedEdge] = Field(description="The fused corridors of all components.")

@@ -16,8 +16,8 @@ from ..topology.arrays import BoolArray, FloatArray, IntArray
 from ..topology.columns import columns_of, take
 from ..topology.digits import BITS
 from ..topology.frozen import freeze
-from ..topology.map_pose_graph import NO_MEASUREMENTS, Measurements
 from ..topology.map_schema import Index, Model
+from ..topology.posegraph.graph import NO_MEASUREMENTS, Measurements
 from ..topology.quadratic_forms import ONE_SIGMA, quadratic_quantile
 from ..topology.se2 import apply, fit_groups
 from ..topology.topomap import (

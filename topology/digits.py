@@ -3,11 +3,12 @@
 The last digits of floating point sums depend on the processor. Documents hold only the digits that
 carry meaning, so that they, and all that is derived from them, are the same everywhere.
 
-* Positions, lengths, paths: millimetres. No centre of a junction is known to better than 3 cm. *
-Branches: 0.1 mrad, a hundredth of the error of one pass. * Transforms: also microradians, which
-move a point a kilometre away by a millimetre. * Evidence: 0.01 bit, odds to 1 %. * Shares by which
-all lengths are wrong: 10⁻⁵, a millimetre in 100 m. * Sigmas, rates and the calibration: four
-significant digits, more than 10⁷ readings could support.
+* Positions, lengths, paths: millimetres. No centre of a junction is known to better than 3 cm.
+* Branches: 0.1 mrad, a hundredth of the error of one pass.
+* Transforms: also microradians, which move a point a kilometre away by a millimetre.
+* Evidence: 0.01 bit, odds to 1 %.
+* Shares by which all lengths are wrong: 10⁻⁵, a millimetre in 100 m.
+* Sigmas, rates and the calibration: four significant digits, more than 10⁷ readings could support.
 """
 
 from __future__ import annotations

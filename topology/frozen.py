@@ -18,7 +18,9 @@ def frozen_array(array: Any, dtype: Any, shape: tuple[int | None, ...], name: st
     """
     given = np.asarray(array)
     out = np.ascontiguousarray(given, dtype=dtype)
-    if len(out.shape) != len(shape) or not all(map(_fits, shape, out.shape)):
+    if len(out.shape) != len(shape) or any(
+        size not in (None, length) for size, length in zip(shape, out.shape, strict=True)
+    ):
         raise ValueError(f"{name} has shape {out.shape}, expected {shape}")
     if out.dtype.kind == "f":
         if not np.isfinite(out).all():
@@ -35,10 +37,6 @@ def freeze(value: Any, dtype: Any, /, **shapes: tuple[int | None, ...]) -> None:
     """Replace fields of a frozen dataclass by their `frozen_array`, in `__post_init__`."""
     for name, shape in shapes.items():
         object.__setattr__(value, name, frozen_array(getattr(value, name), dtype, shape, name))
-
-
-def _fits(want: int | None, got: int) -> bool:
-    return want is None or want == got
 
 
 def frozen_rows(

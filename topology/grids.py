@@ -46,8 +46,8 @@ def cropped(grid: Grid) -> Grid | None:
 
 
 def layered(grids: Sequence[Grid]) -> Grid | None:
-    """Grids on one lattice, cell size and frame as one: the first that knows a cell tells what it
-    is. None without any."""
+    """Grids on one lattice, cell size and frame as one: a cell is as in the first grid
+    that knows it. None without any."""
     if not grids:
         return None
     cell_m = grids[0].resolution_m

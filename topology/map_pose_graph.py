@@ -2,38 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from .arrays import FloatArray, IntArray
+from .arrays import FloatArray
 from .corridor_lengths import LEAST_M, length_variances
 from .digits import BRANCH
-from .posegraph.graph import PoseGraph
+from .posegraph.graph import Measurements, PoseGraph
 from .se2 import turned_axes
 from .topomap import TopoMap
 
 LEAST_TURN_RAD = 10.0**-BRANCH
 """Lower bound of a corridor's heading error, 1 sigma: keeps the information finite; an odometry
 without noise is assumed to have more (3e-4 in a corridor)."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Measurements:
-    """Relative poses between vertices.
-
-    source, target: (k,); measurement: (k, 3) T_source_target; information: (k, 3, 3).
-    """
-
-    source: IntArray
-    target: IntArray
-    measurement: FloatArray
-    information: FloatArray
-
-
-NO_MEASUREMENTS = Measurements(
-    np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3, 3))
-)
 
 
 def odometry_measurements(topomap: TopoMap) -> Measurements:
@@ -67,7 +47,7 @@ def odometry_measurements(topomap: TopoMap) -> Measurements:
     cov[:, 2, 2] = (walk + 2 * swing) / times + LEAST_TURN_RAD**2
     _, discounted = length_variances(topomap)
     cov *= (1 + discounted / cov[:, 0, 0])[:, None, None]
-    keep = np.flatnonzero(topomap.source != topomap.target)  # a loop tells nothing of its junction
+    keep = np.flatnonzero(topomap.source != topomap.target)  # a loop constrains no other junction
     source, target = topomap.source[keep], topomap.target[keep]
     step = topomap.xy[target] - topomap.xy[source]
     axes = turned_axes(np.arctan2(step[:, 1], step[:, 0]))

@@ -9,7 +9,7 @@ import re
 from math import isfinite
 from typing import Annotated, Any, Literal, Self, TypeVar, get_args
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from .digits import METRES
 from .errors import DocumentError
@@ -51,8 +51,8 @@ class Model(BaseModel):
 
 
 class Attributes(Model):
-    """What a document says of a graph as a whole. Unknown values are kept to be written again, so
-    that numbers too large for a float, which are read as infinite, are refused."""
+    """Attributes of a graph as a whole. Unknown ones are kept and written again, so that numbers
+    too large for a float, which are read as infinite, are refused."""
 
     @model_validator(mode="after")
     def _finite(self) -> Self:
@@ -168,7 +168,7 @@ class ClosureRecord(Model):
     """
 
     time_ns: tuple[Nanoseconds, Nanoseconds] = Field(
-        description="Times of the two passes that were asked to be one place."
+        description="Times of the two passes that were compared."
     )
     accepted: bool = Field(description="Whether they were taken for one place.")
     bits: Finite = Field(description="Evidence: log2 of the odds that they are one place.")
@@ -179,8 +179,8 @@ class ClosureRecord(Model):
     )
     revised: bool = Field(
         False,
-        description="Another answer stands: the two passes were identified later, or their places "
-        "were asked about again, and it may have been no for another reason.",
+        description="A later answer replaces this one: the two passes were identified in a later "
+        "round, or refused again, perhaps for another reason.",
     )
 
 
@@ -201,8 +201,8 @@ class MapGraph(Attributes):
     pieces: int = Field(
         1,
         ge=1,
-        description="Parts of which nothing tells how they lie to each other; they are drawn side "
-        "by side.",
+        description="Number of parts whose relative poses are unknown: they are drawn side by "
+        "side.",
     )
     shows_bends: bool = Field(
         True,
@@ -239,7 +239,8 @@ class MapGraph(Attributes):
         None, description="Shares of the way that the map covers, in scans and along corridors."
     )
     jumps: list[Any] | None = Field(
-        None, description="Where the odometry jumped, and by how much, as places seen again tell."
+        None,
+        description="Where the odometry jumped, and by how much, estimated from revisited places.",
     )
     views: ViewsRecord | None = Field(
         None,
@@ -251,23 +252,7 @@ class MapGraph(Attributes):
 ABOUT = frozenset(
     {"pieces", "source", "settings", "warnings", "calibration", "driven", "jumps", "views"}
 )
-"""Fields of `MapGraph` that tell how a map was made: `TopoMap.info`."""
-
-
-def _as_false(value: Any) -> Any:
-    if value is not False:
-        raise ValueError("must be false")
-    return value
-
-
-def _as_true(value: Any) -> Any:
-    if value is not True:
-        raise ValueError("must be true")
-    return value
-
-
-Undirected = Annotated[Literal[False], BeforeValidator(_as_false)]
-Multigraph = Annotated[Literal[True], BeforeValidator(_as_true)]
+"""Fields of `MapGraph` that describe how a map was made: `TopoMap.info`."""
 
 
 class MapDocument(Model):
@@ -279,9 +264,9 @@ class MapDocument(Model):
     schema_name: Literal["topobatch.map/1"] = Field(
         alias="schema", description="Name and version of this schema."
     )
-    directed: Undirected = Field(description="For networkx: corridors lead both ways.")
-    multigraph: Multigraph = Field(description="For networkx: several may join two vertices.")
-    graph: MapGraph = Field(description="What is said of the map as a whole.")
+    directed: Literal[False] = Field(description="For networkx: corridors lead both ways.")
+    multigraph: Literal[True] = Field(description="For networkx: several may join two vertices.")
+    graph: MapGraph = Field(description="Attributes of the map as a whole.")
     nodes: list[MapNode] = Field(description="The junctions, bends and dead ends.")
     edges: list[MapEdge] = Field(description="The corridors between them.")
 

@@ -22,6 +22,17 @@ def numbered(counts: IntArray) -> tuple[IntArray, IntArray]:
     return row, np.arange(len(row)) - np.repeat(np.cumsum(counts) - counts, counts)
 
 
+def rows_within(
+    a: NDArray[Any], b: NDArray[Any], reach: FloatArray | float
+) -> tuple[IntArray, IntArray]:
+    """Pairs of rows of a (k,) and b (m,) whose values differ by `reach` at most, a number for all
+    or for each row of a (k,)."""
+    order = np.argsort(b, kind="stable")
+    low = np.searchsorted(b[order], a - reach, side="left")
+    row, number = numbered(np.searchsorted(b[order], a + reach, side="right") - low)
+    return row, order[low[row] + number]
+
+
 def parted(values: NDArray[Number], sizes: Iterable[int]) -> tuple[NDArray[Number], ...]:
     """Consecutive views of `values` of the given sizes; three times as fast as `np.split`."""
     stops = np.cumsum([0, *sizes]).tolist()

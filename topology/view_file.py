@@ -28,6 +28,8 @@ HEAD = b"topobatch.views/1\n"
 walls and for free space. Of 68 views of an office it takes 22 kB, where zlib takes 29 kB."""
 PER_VIEW = 4 * 8 + 2 * SIDE * SIDE // 8
 """Bytes of a view before they are compressed: time and pose as 8-byte numbers, two bits a cell."""
+PER_UNIT = 10.0 ** np.array([METRES, METRES, TURN])
+"""Steps in which a pose is written, per metre and radian: as in documents."""
 MEMORY = 1 << 27
 """Bytes that unpacking may take beside its result; what we write needs 9 MB."""
 
@@ -41,7 +43,7 @@ def views_path(document: Path) -> Path:
 
 
 def record_of(views: Views) -> Record:
-    """What a document says of its map's views."""
+    """The record of a map's views in its document."""
     content = _content(views)
     return {"count": len(views), "digest": hashlib.blake2b(content, digest_size=16).hexdigest()}
 
@@ -66,14 +68,14 @@ def from_bytes(data: bytes, record: Record) -> Views:
     numbers = np.frombuffer(content, "<i8", 4 * count).reshape(4, count)
     bits = np.frombuffer(content, np.uint8, offset=4 * 8 * count)
     wall, free = np.unpackbits(bits).reshape(2, count, SIDE, SIDE)
-    pose = numbers[1:].T / [10.0**METRES, 10.0**METRES, 10.0**TURN]
+    pose = numbers[1:].T / PER_UNIT
     return Views(numbers[0], pose, WALL * wall + FREE * free)
 
 
 def _content(views: Views) -> bytes:
     """Times, poses and cells as bytes, like with like, which compresses best."""
     known = np.clip(np.nan_to_num(views.pose), -FARTHEST_M, FARTHEST_M)
-    pose = np.rint(known * [10.0**METRES, 10.0**METRES, 10.0**TURN])
+    pose = np.rint(known * PER_UNIT)
     numbers = np.concatenate([views.time_ns[None], pose.T.astype(np.int64)])
     bits = np.packbits(np.stack([views.cells == WALL, views.cells == FREE]))
     return numbers.astype("<i8").tobytes() + bits.tobytes()
@@ -81,7 +83,7 @@ def _content(views: Views) -> bytes:
 
 def with_views(topomap: TopoMap, document: Path) -> TopoMap:
     """A map that was read from a document, with the views beside it. If they are lost or damaged it
-    is returned as it is, and says so (`TopoMap.views_lost`)."""
+    is returned without, with `TopoMap.views_lost` set."""
     record = topomap.info.get("views")
     if record is None:
         return topomap

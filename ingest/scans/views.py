@@ -79,12 +79,12 @@ def closed_by_views(
     moved = carried_along(odometry, known, odometry.time_ns, odometry.pose)
     moved = np.where(np.isfinite(moved), moved, odometry.pose)
     placed = np.column_stack([pose[:, :2], wrap(views.pose[:, 2] + pose[:, 2])])
-    back = turned_axes(pose[loops.second, 2])
+    back = turned_axes(pose[loops.target, 2])
     information = np.round(back @ loops.information @ back.transpose(0, 2, 1), INFORMATION_DIGITS)
     return (
         replace(odometry, pose=moved),
         Views(views.time_ns, placed, views.cells),
-        SeenAgain(times[loops.first], times[loops.second], information),
+        SeenAgain(times[loops.source], times[loops.target], information),
     )
 
 

@@ -16,16 +16,18 @@ import numpy as np
 from ...topology.arrays import FloatArray, IntArray
 from ...topology.columns import joined
 from ...topology.connected import connected
-from ...topology.map_pose_graph import (
-    NO_MEASUREMENTS,
-    Measurements,
-    map_pose_graph,
-    odometry_measurements,
-)
+from ...topology.map_pose_graph import map_pose_graph, odometry_measurements
 from ...topology.matching.branches import mutual_nearest, unit_headings
 from ...topology.matching.likelihood import LIKELIHOOD
 from ...topology.matching.structure import STRUCTURE, grid_direction, padded_branches
-from ...topology.posegraph.graph import PoseGraph, Priors, SharedErrors, Solution
+from ...topology.posegraph.graph import (
+    NO_MEASUREMENTS,
+    Measurements,
+    PoseGraph,
+    Priors,
+    SharedErrors,
+    Solution,
+)
 from ...topology.posegraph.samples import SampledMarginals
 from ...topology.posegraph.solve import SolverSettings, solve
 from ...topology.se2 import apply, compose, fit_rigid, inverse, wrap

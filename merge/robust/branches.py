@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...topology.arrays import ComplexArray, FloatArray, IntArray
-from ...topology.matching.branches import BranchPairs, agreeing, mutual_nearest
+from ...topology.matching.branches import BranchPairs, agreement_odds, mutual_nearest
 from ...topology.matching.likelihood import BIT, LIKELIHOOD, doubted
 from .prepare import Prepared
 
@@ -28,7 +28,7 @@ def branch_bits(
     lonely = branches - 2 * agree
     rarity = b.turn_rarity.take(vb, axis=0)[np.arange(len(turn))[:, None], pairs.nearest]
     free = np.minimum(a.turn_rarity.take(va, axis=0), rarity)
-    angle = agreeing(pairs, variance, free, LIKELIHOOD.most / 2)
+    angle = agreement_odds(pairs, variance, free, LIKELIHOOD.most / 2)
     # One pair of branches is used up by fitting the rotation.
     angle *= np.maximum(agree - 1, 0) / np.maximum(agree, 1)
     chance = np.minimum(of_a[:, 3], of_b[:, 3]) * BIT

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...topology.arrays import FloatArray, IntArray
-from ...topology.map_pose_graph import NO_MEASUREMENTS, Measurements
+from ...topology.posegraph.graph import NO_MEASUREMENTS, Measurements
 from ...topology.se2 import between, compose, inverse, turned_axes
 from .prepare import Prepared
 from .view_evidence import ViewEvidence

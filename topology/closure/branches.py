@@ -17,8 +17,8 @@ from ..arrays import ComplexArray, FloatArray, IntArray
 from ..matching.branches import (
     COS_GATE,
     BranchPairs,
-    agreeing,
-    missing,
+    agreement_odds,
+    missing_odds,
     mutual_nearest,
     unit_headings,
 )
@@ -99,7 +99,7 @@ def align(
         pairs = mutual_nearest(turned_a, turned_b)
         rest = turned_a * np.take_along_axis(turned_b, pairs.nearest, axis=1).conj()
         odds, fitted = _best_turn(pairs, rest, trial, turn_sigma[rows], branches.variance)
-        odds += missing(pairs, lack_a[rows], lack_b[rows])
+        odds += missing_odds(pairs, lack_a[rows], lack_b[rows])
         better = odds > score[rows]
         improved = rows[better]
         score[improved], turn[improved] = odds[better], fitted[better] + mean[improved]
@@ -143,7 +143,7 @@ def _best_turn(
     turn = (np.angle(trial) + np.angle(rest.sum(axis=1))) * weight / (weight + sigma**-2)
     cosine = (rest * (trial * np.exp(-1j * turn))[:, None]).real
     fitted = BranchPairs(pairs.paired, pairs.nearest, 2 - 2 * cosine)
-    odds = agreeing(fitted, np.array([variance]), ANYWHERE)
+    odds = agreement_odds(fitted, np.array([variance]), ANYWHERE)
     return odds - 0.5 * (turn / sigma) ** 2, turn
 
 

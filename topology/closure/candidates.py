@@ -12,7 +12,7 @@ from ..columns import take
 from ..matching.likelihood import LIKELIHOOD
 from ..se2 import turned_axes
 from .branches import align
-from .dead_reckoning import dead_reckoning_covariance
+from .dead_reckoning import relative_covariance
 from .estimate import Estimate
 from .evidence import EVIDENCE, Background, among_neighbours, position_odds
 from .growth import MapState, grow
@@ -148,7 +148,7 @@ def _possible_pairs(state: MapState, place: IntArray, estimate: Estimate) -> _Pa
     a, b = a[same], b[same]
     i, j = i[same], j[same]
     turn = 0.5 * (estimate.pose[i, 2] + estimate.pose[j, 2])
-    cov = _rotated(dead_reckoning_covariance(reckoning, i, j), turn)
+    cov = _rotated(relative_covariance(reckoning, i, j), turn)
     return _Pairs(a, b, estimate.xy[a] - estimate.xy[b], cov)
 
 

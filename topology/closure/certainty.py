@@ -76,7 +76,7 @@ def place_errors(
     return VertexErrors(error, own_share)
 
 
-def seen_alike(open_m: FloatArray, noise: RunNoise) -> FloatArray:
+def shared_centre_sigma(open_m: FloatArray, noise: RunNoise) -> FloatArray:
     """(p,) 1 sigma per axis [m] of the error that all passes by a place have in common.
 
     open_m: (p,) 1 sigma per axis [m] of the centre by the walls at each pass, which includes the

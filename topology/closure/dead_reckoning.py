@@ -7,55 +7,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ..arrays import FloatArray, IntArray
-from ..frozen import freeze
 from ..odometry import Odometry
 from ..passes import Passes
+from ..posegraph.graph import NO_MEASUREMENTS, Measurements
 from ..run import NOT_SEEN_AGAIN, SeenAgain
 from ..topomap import RunNoise
 from ..track import interpolated, piece_of, stretch_of, track_directions, way_at
-
-RANDOM = slice(7)
-"""Columns of `DeadReckoning.sums` that hold variances."""
-
-
-@dataclass(frozen=True, slots=True)
-class SystematicErrors:
-    """1 sigma of the odometry's constant errors.
-
-    Scale is not among them, because a scaled map still closes all of its loops.
-    """
-
-    turn_rad_per_m: float = 0.0005
-    """Heading bias per metre driven."""
-    turn_rad_per_rad: float = 0.01
-    """Relative error of turns."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Factors:
-    """Measured relative poses of nodes of a `PoseGraph`. Its first nodes are the passes of a run,
-    at their centres and rotated like the odometry frame.
-
-    first, second: (k,) nodes; measurement: (k, 3) T_first_second; information: (k, 3, 3) of it.
-    """
-
-    first: IntArray
-    second: IntArray
-    measurement: FloatArray
-    information: FloatArray
-
-    def __post_init__(self) -> None:
-        k = len(self.first)
-        freeze(self, np.int64, first=(k,), second=(k,))
-        freeze(self, np.float64, measurement=(k, 3), information=(k, 3, 3))
-
-    def __len__(self) -> int:
-        return len(self.first)
-
-
-NO_FACTORS = Factors(
-    np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3, 3))
-)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,14 +22,13 @@ class DeadReckoning:
     piece: (p,) unbroken piece of odometry of each pass. leg: (p - 1,) distance driven from each
     pass to the next [m], NaN across a break or a jump. arriving, leaving: (p,) headings [rad] from
     the place to where the robot came from and went to, NaN where unknown. aside: (p,) distance at
-    which the robot passed the place [m]. sums: (p, 13) prefix sums over the odometry up to each
-    pass (see `_prefix_sums`), about `origin` (p, 2), the centroid of the pass's piece; jumps: (p,
-    7) the same for the variances of jumps; loops: measured by views.
+    which the robot passed the place [m]. sums: (p, 7) prefix sums over the odometry up to each
+    pass (see `_variance_sums`), about `origin` (p, 2), the centroid of the pass's piece; jumps: (p,
+    7) the same for the variances of jumps; loops: between passes, as views measured them.
     """
 
     passes: Passes
     noise: RunNoise
-    systematic: SystematicErrors
     piece: IntArray
     leg: FloatArray
     arriving: FloatArray
@@ -81,18 +37,14 @@ class DeadReckoning:
     origin: FloatArray
     sums: FloatArray
     jumps: FloatArray
-    loops: Factors = field(default=NO_FACTORS)
+    loops: Measurements = field(default=NO_MEASUREMENTS)
 
     def __len__(self) -> int:
         return len(self.passes)
 
 
 def dead_reckoning(
-    odometry: Odometry,
-    passes: Passes,
-    noise: RunNoise,
-    systematic: SystematicErrors = SystematicErrors(),
-    revisits: SeenAgain = NOT_SEEN_AGAIN,
+    odometry: Odometry, passes: Passes, noise: RunNoise, revisits: SeenAgain = NOT_SEEN_AGAIN
 ) -> DeadReckoning:
     """Dead reckoning of a run. O(n + p log n) for n odometry rows and p passes.
 
@@ -102,19 +54,17 @@ def dead_reckoning(
     piece = piece_of(odometry, passes.time_ns)
     leg = np.where(np.diff(stretch_of(odometry, passes.time_ns)) == 0, np.diff(way), np.nan)
     track = track_directions(odometry, passes.time_ns, passes.centre)
-    centroids, centred = _about_centroids(odometry)
     return DeadReckoning(
         passes=passes,
         noise=noise,
-        systematic=systematic,
         piece=piece,
         leg=leg,
         arriving=track.arriving,
         leaving=track.leaving,
         aside=np.hypot(*(odometry.at(passes.time_ns)[:, :2] - passes.centre).T),
-        origin=centroids[piece],
-        sums=_prefix_sums(odometry, passes, noise, centred),
-        jumps=_jump_sums(odometry, passes, centred),
+        origin=_about_centroids(odometry)[0][piece],
+        sums=walk_sums(odometry, passes, noise),
+        jumps=_jump_sums(odometry, passes),
         loops=_loops_of_passes(odometry, passes, noise, revisits),
     )
 
@@ -125,7 +75,7 @@ FAR_M = 15.0
 
 def _loops_of_passes(
     odometry: Odometry, passes: Passes, noise: RunNoise, revisits: SeenAgain
-) -> Factors:
+) -> Measurements:
     """Revisits as loops between the passes nearest to both times; for each pair the most certain.
 
     Left out are revisits with a time farther than `FAR_M` from all passes, or with one pass nearest
@@ -133,7 +83,7 @@ def _loops_of_passes(
     passes add to its covariance.
     """
     if not len(revisits) or not len(passes):
-        return NO_FACTORS
+        return NO_MEASUREMENTS
     pass_arc_m, stretch = way_at(odometry, passes.time_ns), stretch_of(odometry, passes.time_ns)
     rows, covs = [], [np.linalg.inv(revisits.information)]
     for times in (revisits.first_ns, revisits.second_ns):
@@ -155,7 +105,9 @@ def _loops_of_passes(
     measurement = np.zeros((len(chosen), 3))
     measurement[:, :2] = passes.centre[second] - passes.centre[first]
     information = np.linalg.inv(cov[chosen])
-    return Factors(first, second, measurement, 0.5 * (information + information.transpose(0, 2, 1)))
+    return Measurements(
+        first, second, measurement, 0.5 * (information + information.transpose(0, 2, 1))
+    )
 
 
 def scale_noise(reckoning: DeadReckoning, factor: float) -> DeadReckoning:
@@ -170,7 +122,7 @@ def scale_noise(reckoning: DeadReckoning, factor: float) -> DeadReckoning:
         branch_rad=factor * n.branch_rad,
     )
     sums = reckoning.sums.copy()
-    sums[:, RANDOM] *= factor**2
+    sums *= factor**2
     return replace(reckoning, noise=noise, sums=sums)
 
 
@@ -186,52 +138,41 @@ def _about_centroids(odometry: Odometry) -> tuple[FloatArray, FloatArray]:
     return centroids, position - centroids[piece]
 
 
-def _prefix_sums(
-    odometry: Odometry, passes: Passes, noise: RunNoise, centred: FloatArray
-) -> FloatArray:
-    """(p, 13) sums over all odometry steps before each pass.
-
-    Columns: Σq, Σq x, Σq y, Σq x², Σq xy, Σq y² with q the heading variance of a step; Στ² ds;
-    Σds, Σds x, Σds y; Σdθ, Σdθ x, Σdθ y.
-    """
-    step, turn = odometry.step_m, odometry.turn_rad
-    x, y = centred.T
+def walk_sums(odometry: Odometry, passes: Passes, noise: RunNoise) -> FloatArray:
+    """(p, 7) `_variance_sums` of the odometry's random walks."""
+    step, turn = odometry.step_m, np.abs(odometry.turn_rad)
     heading_variance = noise.heading_rad_per_sqrt_m**2 * step
-    heading_variance = heading_variance + noise.heading_rad_per_sqrt_rad**2 * np.abs(turn)
-    along_variance = noise.along_m_per_sqrt_m**2 * step
-    variances = _variances(heading_variance, along_variance, x, y)
-    systematic = [step, step * x, step * y, turn, turn * x, turn * y]
-    return _up_to_passes(odometry, passes, variances + systematic)
+    heading_variance = heading_variance + noise.heading_rad_per_sqrt_rad**2 * turn
+    return _variance_sums(odometry, passes, heading_variance, noise.along_m_per_sqrt_m**2 * step)
 
 
-def _jump_sums(odometry: Odometry, passes: Passes, centred: FloatArray) -> FloatArray:
-    """(p, 7) the variance columns of `_prefix_sums`, over the jumps only."""
+def _jump_sums(odometry: Odometry, passes: Passes) -> FloatArray:
+    """(p, 7) `_variance_sums` of the odometry's jumps."""
     heading_variance, along_variance = np.zeros(len(odometry)), np.zeros(len(odometry))
     along_variance[odometry.jumps], heading_variance[odometry.jumps] = odometry.jump_sigma.T**2
-    x, y = centred.T
-    return _up_to_passes(odometry, passes, _variances(heading_variance, along_variance, x, y))
+    return _variance_sums(odometry, passes, heading_variance, along_variance)
 
 
-def _variances(q: FloatArray, along: FloatArray, x: FloatArray, y: FloatArray) -> list[FloatArray]:
-    return [q, q * x, q * y, q * x * x, q * x * y, q * y * y, along]
-
-
-def _up_to_passes(odometry: Odometry, passes: Passes, columns: list[FloatArray]) -> FloatArray:
-    """Sums of the columns over the odometry steps before each pass."""
-    sums = np.cumsum(np.stack(columns, axis=1), axis=0)
+def _variance_sums(
+    odometry: Odometry, passes: Passes, q: FloatArray, along: FloatArray
+) -> FloatArray:
+    """(p, 7) sums over all odometry steps before each pass: Σq, Σq x, Σq y, Σq x², Σq xy, Σq y²
+    with q (n,) the heading variance of a step, and Σ of its variance along the way (n,)."""
+    x, y = _about_centroids(odometry)[1].T
+    columns = np.stack([q, q * x, q * y, q * x * x, q * x * y, q * y * y, along], axis=1)
+    sums = np.cumsum(columns, axis=0)
     return np.stack([interpolated(odometry, column, passes.time_ns) for column in sums.T], axis=1)
 
 
 def relative_covariance(reckoning: DeadReckoning, first: IntArray, second: IntArray) -> FloatArray:
     """(k, 3, 3) covariance of pass `second`'s x, y, theta as dead reckoned from pass `first`.
 
-    Random walk and jumps only; see `systematic_modes` for the constant errors. Axes are those of
-    the odometry frame; theta is the error of that frame's heading. Closed form from prefix sums,
-    O(1) per pair. Per step between: position p, variances q of heading and τ² ds of position. With
-    S0 = Σq, S1 = Σq p, S2 = Σq p pᵀ, second pass c and J the rotation by 90°: C_θθ = S0,
-    C_xyθ = J (S0 c - S1), C_xy = Στ² ds I + J (S0 c cᵀ - S1 cᵀ - c S1ᵀ + S2) Jᵀ.
+    Axes are those of the odometry frame; theta is the error of that frame's heading. Closed
+    form from prefix sums, O(1) per pair. Per step between: position p, variances q of heading and
+    τ² ds of position. With S0 = Σq, S1 = Σq p, S2 = Σq p pᵀ, second pass c and J the rotation by
+    90°: C_θθ = S0, C_xyθ = J (S0 c - S1), C_xy = Στ² ds I + J (S0 c cᵀ - S1 cᵀ - c S1ᵀ + S2) Jᵀ.
     """
-    sums = _increase(reckoning.sums[:, RANDOM] + reckoning.jumps, first, second)
+    sums = _increase(reckoning.sums + reckoning.jumps, first, second)
     c = (reckoning.passes.centre - reckoning.origin)[second]
     s0, s1x, s1y, s2xx, s2xy, s2yy, along = sums.T
     x, y = c.T
@@ -246,37 +187,6 @@ def relative_covariance(reckoning: DeadReckoning, first: IntArray, second: IntAr
     covariance[:, 0, 2] = covariance[:, 2, 0] = -(s0 * y - s1y)
     covariance[:, 1, 2] = covariance[:, 2, 1] = s0 * x - s1x
     covariance[:, 2, 2] = s0
-    return covariance
-
-
-def systematic_modes(reckoning: DeadReckoning, first: IntArray, second: IntArray) -> FloatArray:
-    """(k, 3, 2) derivatives of pass `second`'s x, y, theta, relative to `first`, by the constant
-    errors.
-
-    Last axis: turn per metre, turn per radian (`SystematicErrors`). Exact sums over the odometry
-    rows, for first <= second.
-    """
-    sums = _increase(reckoning.sums, first, second)
-    c = (reckoning.passes.centre - reckoning.origin)[second]
-    modes = np.zeros((len(sums), 3, 2))
-    for mode, column in ((0, 7), (1, 10)):
-        l0, l1x, l1y = sums[:, column], sums[:, column + 1], sums[:, column + 2]
-        modes[:, 0, mode] = -(l0 * c[:, 1] - l1y)
-        modes[:, 1, mode] = l0 * c[:, 0] - l1x
-        modes[:, 2, mode] = l0
-    return modes
-
-
-def dead_reckoning_covariance(
-    reckoning: DeadReckoning, first: IntArray, second: IntArray
-) -> FloatArray:
-    """(k, 3, 3) `relative_covariance` including the systematic errors."""
-    modes = systematic_modes(reckoning, first, second)
-    systematic = reckoning.systematic
-    modes = modes * np.array([systematic.turn_rad_per_m, systematic.turn_rad_per_rad])
-    covariance: FloatArray = relative_covariance(
-        reckoning, first, second
-    ) + modes @ modes.transpose(0, 2, 1)
     return covariance
 
 

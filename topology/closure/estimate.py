@@ -11,18 +11,12 @@ from ..circular import cluster_angles
 from ..columns import joined
 from ..matching.likelihood import LIKELIHOOD
 from ..passes import ONE_WAY_RAD
-from ..posegraph.graph import PoseGraph, Priors, SharedErrors, Solution
+from ..posegraph.graph import NO_MEASUREMENTS, Measurements, PoseGraph, Priors, Solution
 from ..posegraph.marginals import Marginals
 from ..posegraph.samples import SampledMarginals
 from ..posegraph.solve import SolverSettings, solve
 from ..se2 import turned, wrap
-from .dead_reckoning import (
-    NO_FACTORS,
-    DeadReckoning,
-    Factors,
-    relative_covariance,
-    systematic_modes,
-)
+from .dead_reckoning import DeadReckoning, relative_covariance
 from .manhattan import GridCorridors, GridHeadings
 
 GAP_M = 20.0
@@ -60,8 +54,8 @@ class Estimate:
     xy: (n, 2) position of every place; node: (n,) its vertex in the pose graph: one of its own if
     it has several passes, else its pass. sighting: (k,) pass of each observation factor;
     sighting_chi2: (k,) its squared Mahalanobis error; loop_chi2: the same of each of the loops.
-    reduced_chi2: mean squared error per degree of freedom, 1 if the noise model is right; freedom:
-    degrees of freedom, without those of loops.
+    reduced_chi2: squared errors, up to the gate each, per degree of freedom, 1 if the noise model
+    is right; freedom: degrees of freedom, without those of loops.
     """
 
     pose: FloatArray
@@ -105,9 +99,8 @@ def optimise(
 
     Nodes of the pose graph are the passes (at their centre, rotated like the odometry frame) and
     the places with several passes. Edges are the legs between consecutive passes, the observations
-    of places by passes, and the loops of `reckoning`; the systematic errors of the odometry are
-    variables shared by all legs. A corridor of the grid is a node as well: a line that its passes
-    lie on.
+    of places by passes, and the loops of `reckoning`. A corridor of the grid is a node as well:
+    a line that its passes lie on.
     """
     count = len(reckoning)
     if start is None:
@@ -120,32 +113,29 @@ def optimise(
     factors = joined([legs, sightings, loops, corridor_factors])
     end_sightings = len(legs) + len(sightings)
     end_loops, edges = end_sightings + len(loops), len(factors)
-    sensitivity, kernel = np.zeros((edges, 3, 2)), np.full(edges, np.inf)
-    sensitivity[: len(legs)] = systematic_modes(reckoning, legs.first, legs.second)
+    kernel = np.full(edges, np.inf)
     kernel[end_loops:] = ESTIMATE.grid_kernel
-    systematic = reckoning.systematic
-    shared_sigma = np.array([systematic.turn_rad_per_m, systematic.turn_rad_per_rad])
     graph = PoseGraph(
         pose=np.vstack([start, centres, corridor_poses]),
-        source=factors.first,
-        target=factors.second,
+        source=factors.source,
+        target=factors.target,
         measurement=factors.measurement,
         information=factors.information,
         kernel=kernel,
         priors=_priors(grid, corridors, nodes),
-        shared=SharedErrors(sensitivity, shared_sigma),
         swing=np.where(np.arange(edges) < len(legs), _SWING, 0.0),
     )
     graph, solution, chi2 = _solve_with_gate(graph, slice(len(legs), end_loops))
     freedom = 3 * (len(sightings) - len(centres)) + len(corridor_factors) - len(corridor_poses)
+    within_gate = np.minimum(chi2, LIKELIHOOD.gate_chi2(3))
     return Estimate(
         pose=solution.pose[:count],
         xy=solution.pose[node, :2],
         node=node,
-        sighting=sightings.first,
+        sighting=sightings.source,
         sighting_chi2=solution.edge_chi2[len(legs) : end_sightings],
         loop_chi2=solution.edge_chi2[end_sightings:end_loops],
-        reduced_chi2=_reduced_chi2(chi2, freedom, LIKELIHOOD.gate_chi2(3)),
+        reduced_chi2=float(within_gate.sum()) / freedom if freedom else 1.0,
         freedom=freedom,
         graph=graph,
         solution=solution,
@@ -232,17 +222,6 @@ def _solve_with_gate(graph: PoseGraph, observed: slice) -> tuple[PoseGraph, Solu
     return robust, solve(robust, settings), solution.edge_chi2
 
 
-def _reduced_chi2(chi2: FloatArray, freedom: int, gate: float) -> float:
-    """Σ χ² per degree of freedom, with edges beyond the gate counted as on it; 1 without
-    freedom."""
-    if freedom == 0:
-        return 1.0
-    reduced = float(chi2.sum()) / freedom
-    for _ in range(20):
-        reduced = float(np.minimum(chi2, gate * reduced).sum()) / freedom
-    return reduced
-
-
 def _priors(grid: GridHeadings | None, corridors: GridCorridors | None, first_line: int) -> Priors:
     """Priors of headings of passes, and of directions of lines (nodes from `first_line`)."""
     if grid is None:
@@ -258,13 +237,13 @@ def _priors(grid: GridHeadings | None, corridors: GridCorridors | None, first_li
     return Priors.headings(row, turn, sigma, kernel)
 
 
-def _odometry_edges(reckoning: DeadReckoning) -> Factors:
+def _odometry_edges(reckoning: DeadReckoning) -> Measurements:
     """Edges of odometry from each pass to the next one, unless it broke in between."""
     row = np.flatnonzero(np.diff(reckoning.piece) == 0)
     cov = leg_covariance(reckoning, row) + np.diag([1e-6, 1e-6, 1e-8])
     shift = np.diff(reckoning.passes.centre, axis=0)[row]
     measurement = np.column_stack([shift, np.zeros(len(row))])
-    return Factors(row, row + 1, measurement, _information(cov))
+    return Measurements(row, row + 1, measurement, _information(cov))
 
 
 def leg_covariance(reckoning: DeadReckoning, row: IntArray) -> FloatArray:
@@ -292,7 +271,7 @@ def _information(cov: FloatArray) -> FloatArray:
 
 def _observations(
     reckoning: DeadReckoning, place: IntArray, node: IntArray, turn: FloatArray
-) -> Factors:
+) -> Measurements:
     """Observations of places with several passes, which have nodes of their own: the centres
     coincide, the branches fix the rotation."""
     row = np.flatnonzero(place >= 0)
@@ -310,16 +289,16 @@ def _observations(
     information = np.zeros((len(row), 3, 3))
     information[:, 0, 0] = information[:, 1, 1] = reckoning.noise.centre_m**-2
     information[:, 2, 2] = counts[row] * reckoning.noise.branch_rad**-2
-    return Factors(row, node[place[row]], measurement, information)
+    return Measurements(row, node[place[row]], measurement, information)
 
 
 def _corridor_lines(
     start: FloatArray, corridors: GridCorridors | None, nodes: int
-) -> tuple[Factors, FloatArray]:
-    """Factors from the lines of grid corridors, nodes from `nodes` on, to the passes on them; and
-    the initial poses of the lines (c, 3), at their first passes."""
+) -> tuple[Measurements, FloatArray]:
+    """Measurements from the lines of grid corridors (nodes from `nodes` on) to the passes on them,
+    and the initial poses of the lines (c, 3), at their first passes."""
     if corridors is None:
-        return NO_FACTORS, np.zeros((0, 3))
+        return NO_MEASUREMENTS, np.zeros((0, 3))
     passes, is_first = corridors.row, np.diff(corridors.corridor, prepend=-1) > 0
     information = np.zeros((len(passes), 3, 3))
     information[:, 1, 1] = corridors.sigma_m**-2
@@ -327,4 +306,4 @@ def _corridor_lines(
     pose = np.column_stack([start[passes[is_first], :2], corridors.direction])
     measurement = np.zeros((len(passes), 3))
     measurement[:, 1] = corridors.aside
-    return Factors(nodes + corridors.corridor, passes, measurement, information), pose
+    return Measurements(nodes + corridors.corridor, passes, measurement, information), pose

@@ -15,7 +15,7 @@ from ..arrays import FloatArray
 from ..matching.likelihood import LIKELIHOOD, Lengths, length_log_density
 from ..topomap import RunNoise
 from .dead_reckoning import DeadReckoning
-from .lattice import NO_LATTICE, Lattice, lattice_of, squared_mahalanobis
+from .lattice import NO_LATTICE, Lattice, squared_mahalanobis
 from .negative_information import DrivenGround
 from .places import Places
 
@@ -123,13 +123,6 @@ def background(reckoning: DeadReckoning, noise: RunNoise) -> Background:
         fault_rate=max(noise.branch_fault_rate, LIKELIHOOD.fault_floor),
         miss_rate=max(noise.miss_rate, LIKELIHOOD.fault_floor),
     )
-
-
-def with_lattice(common: Background, places: Places, xy: FloatArray) -> Background:
-    """The background with the arrangement of neighbouring junctions, for places at `xy` (n, 2)
-    [m]."""
-    found = lattice_of(places, xy, core_m=common.core_m, typical_m=common.leg_m)
-    return replace(common, lattice=found)
 
 
 def position_odds(

@@ -21,9 +21,10 @@ from .branches import branches_of
 from .candidates import Candidates, candidates
 from .dead_reckoning import DeadReckoning, scale_noise
 from .estimate import Estimate, optimise
-from .evidence import background, measured_rates, with_lattice
+from .evidence import background, measured_rates
 from .growth import MapState
-from .joint_compatibility import NO_AGREEMENT, Agreement, agreeing
+from .joint_compatibility import NO_AGREEMENT, Agreement, jointly_certain
+from .lattice import lattice_of
 from .manhattan import GridCorridors, GridHeadings, grid_corridors, grid_headings
 from .places import Places, tabulate
 
@@ -139,7 +140,9 @@ class _Closure:
         found = take(found, found.fits)
         agreement = NO_AGREEMENT
         if not certain_now and exact:
-            agreement = agreeing(self._estimate, found, state.common, least_odds=self._least_odds)
+            agreement = jointly_certain(
+                self._estimate, found, state.common, least_odds=self._least_odds
+            )
             certain_now = _together(state.places, found, agreement)
         refused = _refused(state.places, found, agreement, self._least_odds)
         self._refused = [replace(q, round=number) for q in refused]
@@ -215,7 +218,8 @@ def map_state(reckoning: DeadReckoning, place: IntArray, estimate: Estimate) -> 
     places = tabulate(reckoning, place, estimate.pose[:, 2])
     noise = measured_rates(places, reckoning.noise)
     common = background(reckoning, noise)
-    common = with_lattice(common, places, estimate.xy)
+    lattice = lattice_of(places, estimate.xy, core_m=common.core_m, typical_m=common.leg_m)
+    common = replace(common, lattice=lattice)
     return MapState(reckoning, places, estimate.xy, common, branches_of(places, common))
 
 

@@ -77,7 +77,7 @@ class _JointShifts:
         return replace(self, shift=shift, cov=cov)
 
 
-def agreeing(
+def jointly_certain(
     estimate: Estimate, found: Candidates, common: Background, *, least_odds: float
 ) -> Agreement:
     """The candidates that are jointly certain: their joint log odds reach `least_odds` [nats].

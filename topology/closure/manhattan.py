@@ -16,7 +16,7 @@ from ..matching.likelihood import LIKELIHOOD
 from ..passes import ONE_WAY_RAD, Passes
 from ..ragged import numbered
 from ..se2 import wrap
-from .dead_reckoning import DeadReckoning, dead_reckoning_covariance
+from .dead_reckoning import DeadReckoning, relative_covariance
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +83,7 @@ def grid_headings(reckoning: DeadReckoning) -> GridHeadings | None:
     # In the odometry frame the grid turns by the drift, which is small from pass to pass.
     step = from_quarter(np.diff(grid))
     sigma = np.sqrt(reckoning.noise.branch_rad**2 / count_of_pass[row] + RECTILINEAR.spread_rad**2)
-    drift = dead_reckoning_covariance(reckoning, row[:-1], row[1:])[:, 2, 2]
+    drift = relative_covariance(reckoning, row[:-1], row[1:])[:, 2, 2]
     chi2 = step**2 / (drift + sigma[1:] ** 2 + sigma[:-1] ** 2)
     connected = reckoning.piece[row[:-1]] == reckoning.piece[row[1:]]
     if connected.any() and chi2[connected].mean() > RECTILINEAR.most_wander:

@@ -25,22 +25,20 @@ from .answers import Identification
 from .dead_reckoning import DeadReckoning
 from .estimate import Estimate
 from .places import NOWHERE, Places, tabulate
-from .resolution import blurred, one_drive_by
+from .resolution import join_below_resolution, one_drive_by
 
 
 @dataclass(frozen=True, slots=True)
-class DrivenBySettings:
+class PhantomSettings:
     """When a place is a phantom."""
 
     straight_gain: float = 4.5
     """Log odds [nats] of a phantom that are added for a place with two opposite branches only."""
     least_odds: float = 2.0
     """Log odds [nats] of a phantom at which a place is removed."""
-    least_miss_rate: float = 0.1
-    """Lower bound of the miss rate of a junction that was missed once: causes persist."""
 
 
-DRIVEN_BY = DrivenBySettings()
+PHANTOM = PhantomSettings()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,7 +65,7 @@ def correct_detections(
 
     place: (p,) of each pass, numbered from 0 by first visit; resolution_m: of the detector [m].
     """
-    merged = blurred(reckoning, place, estimate, resolution_m)
+    merged = join_below_resolution(reckoning, place, estimate, resolution_m)
     fair = merged.place[place] == place
     kept, number = _renumbered(merged.place == np.arange(len(estimate.xy)))
     place, xy = number[merged.place[place]], merged.xy[kept]
@@ -80,7 +78,7 @@ def correct_detections(
         """The places, and the detected and the undetected visits to them."""
         places = tabulate(reckoning, np.where(fair, place, NOWHERE), turn)
         seen = visits_of(reckoning, place, fair, estimate, xy)
-        return places, seen, driven_by(odometry, seen, xy, places)
+        return places, seen, undetected_visits(odometry, seen, xy, places)
 
     places, _, undetected = driven(place, xy)
     unseen = np.bincount(undetected.vertex, minlength=len(places))
@@ -99,7 +97,7 @@ def _renumbered(keep: BoolArray) -> tuple[IntArray, IntArray]:
     return np.flatnonzero(keep), number
 
 
-def driven_by(odometry: Odometry, visits: Visits, xy: FloatArray, places: Places) -> Visits:
+def undetected_visits(odometry: Odometry, visits: Visits, xy: FloatArray, places: Places) -> Visits:
     """Undetected visits of places at `xy` (n, 2) [m], between the detected `visits`.
 
     The whole track is sampled and each sample assigned to its nearest place within `junction_m`
@@ -155,7 +153,8 @@ def phantoms(reckoning: DeadReckoning, places: Places, unseen: IntArray) -> Bool
     unseen: (n,) number of passes by each place without a detection.
     """
     noise = reckoning.noise
-    miss = max(2 * noise.miss_rate, DRIVEN_BY.least_miss_rate)
+    # Causes persist: what was missed once is missed twice as often.
+    miss = 2 * noise.miss_rate
     invented = max(noise.phantom_rate, LIKELIHOOD.fault_floor)
     odds = places.visits * np.log(invented) - unseen * np.log(miss)
     count = np.isfinite(places.heading).sum(axis=1)
@@ -163,8 +162,8 @@ def phantoms(reckoning: DeadReckoning, places: Places, unseen: IntArray) -> Bool
     if first_two.shape[1] == 2:
         opposite = np.abs(np.abs(wrap(first_two[:, 1] - first_two[:, 0])) - np.pi)
         straight = (count == 2) & (opposite < ONE_WAY_RAD)
-        odds = odds + DRIVEN_BY.straight_gain * straight
-    return np.asarray((odds > DRIVEN_BY.least_odds) & (unseen > 0))
+        odds = odds + PHANTOM.straight_gain * straight
+    return np.asarray((odds > PHANTOM.least_odds) & (unseen > 0))
 
 
 def visits_of(

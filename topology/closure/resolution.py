@@ -30,7 +30,7 @@ REASON = "nearer than scans can tell two junctions apart"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Blurred:
+class JoinedPlaces:
     """Places after joining.
 
     place: (n,) the place that each one was joined to, mostly itself; xy: (n, 2) [m] weighted mean
@@ -42,9 +42,9 @@ class Blurred:
     identifications: list[Identification] = field(default_factory=list)
 
 
-def blurred(
+def join_below_resolution(
     reckoning: DeadReckoning, place: IntArray, estimate: Estimate, resolution_m: float
-) -> Blurred:
+) -> JoinedPlaces:
     """The places of an estimate, with those below the resolution joined.
 
     place: (p,) of each pass, none negative; resolution_m: least distance of junctions that show as
@@ -52,13 +52,13 @@ def blurred(
     """
     target = np.arange(len(estimate.xy), dtype=np.int64)
     if resolution_m <= 0 or len(target) < 2:
-        return Blurred(target, estimate.xy)
+        return JoinedPlaces(target, estimate.xy)
     close = cKDTree(estimate.xy).query_pairs(resolution_m, output_type="ndarray").astype(np.int64)
     apart = _reported_apart(reckoning, place, resolution_m)
     allowed = [k for k, pair in enumerate(close.tolist()) if frozenset(pair) not in apart]
     a, b = close[allowed].T
     if len(a) == 0:
-        return Blurred(target, estimate.xy)
+        return JoinedPlaces(target, estimate.xy)
     # Of each pair the one seen better first, and the pairs of the best first; ties by number.
     weight_of_pass = reckoning.passes.messages * reckoning.passes.confidence
     weight = np.asarray(np.bincount(place, weight_of_pass, len(target)), np.float64)
@@ -67,34 +67,30 @@ def blurred(
     order = np.lexsort((b, a, -weight[b], -weight[a]))
     a, b = a[order], b[order]
     sigmas = _sigmas_within(reckoning, estimate, a, b, resolution_m)
+
+    def is_sure(u: int, v: int, sigmas_below: float) -> bool:
+        return sigmas_below > SURE_SIGMAS
+
+    def are_forks(u: int, v: int, sigmas_below: float) -> bool:
+        """Whether v and a part of u, which one drive-by reported, are two forks of one crossing."""
+        return any(frozenset((v, part)) in apart for part in np.flatnonzero(target == u).tolist())
+
+    pairs = list(zip(a.tolist(), b.tolist(), sigmas.tolist(), strict=True))
     identifications = []
-    for u, v, sigmas_below in zip(a.tolist(), b.tolist(), sigmas.tolist(), strict=True):
-        if sigmas_below > SURE_SIGMAS and target[u] == u and target[v] == v:
-            target[v] = u
-            identifications.append(_identified(reckoning, place, (u, v), sigmas_below))
-    # Two places that one drive-by reported may still be the two forks of one crossing.
-    for u, v, sigmas_below in zip(a.tolist(), b.tolist(), sigmas.tolist(), strict=True):
-        parts = np.flatnonzero(target == u).tolist()
-        if (
-            target[u] == u
-            and target[v] == v
-            and any({v, part} in apart for part in parts if part != u)
-        ):
-            target[v] = u
-            identifications.append(_identified(reckoning, place, (u, v), sigmas_below))
-    return Blurred(target, _mean_positions(estimate.xy, target, weight), identifications)
+    for rule in (is_sure, are_forks):
+        for u, v, sigmas_below in pairs:
+            if target[u] == u and target[v] == v and rule(u, v, sigmas_below):
+                target[v] = u
+                identifications.append(_identified(reckoning, place, (u, v), sigmas_below))
+    return JoinedPlaces(target, _mean_positions(estimate.xy, target, weight), identifications)
 
 
 def _mean_positions(xy: FloatArray, target: IntArray, weight: FloatArray) -> FloatArray:
-    """(n, 2) weighted mean positions of joined places; weights `seen` (n,)."""
-    mean_xy, single = xy.copy(), np.bincount(target, minlength=len(target)) < 2
+    """(n, 2) weighted mean positions of joined places (those with the same `target`)."""
     total = np.bincount(target, weight, len(target))
-    mean = [
-        np.bincount(target, weight * column, len(target)) / np.maximum(total, 1e-9)
-        for column in xy.T
-    ]
-    mean_xy[~single] = np.column_stack(mean)[~single]
-    return mean_xy
+    mean = [np.bincount(target, weight * x, len(target)) / np.maximum(total, 1e-9) for x in xy.T]
+    is_joined = np.bincount(target, minlength=len(target)) > 1
+    return np.where(is_joined[:, None], np.column_stack(mean), xy)
 
 
 def _reported_apart(

@@ -19,7 +19,7 @@ from ..odometry import Odometry
 from ..posegraph.graph import edge_errors, prior_errors
 from ..posegraph.samples import SampledMarginals, square_root
 from ..topomap import RunNoise
-from .dead_reckoning import RANDOM, DeadReckoning, dead_reckoning
+from .dead_reckoning import DeadReckoning, walk_sums
 from .estimate import ESTIMATE, Estimate, leg_covariance, optimise
 from .manhattan import GridHeadings, with_spread
 
@@ -87,7 +87,8 @@ def fitted_noise(
     if grid is not None:
         prior = np.append(prior, grid.spread_rad**2)
     unit_walks = _reckonings_by_walk(reckoning, odometry)
-    legs_by_walk = _leg_covariances(reckoning, unit_walks)
+    legs = np.flatnonzero(np.diff(reckoning.piece) == 0)
+    legs_by_walk = np.stack([leg_covariance(unit, legs) for unit in unit_walks])
     variance = prior
     estimate = optimise(reckoning, place, estimate.pose, grid=grid)
     for rounds_left in reversed(range(PRIOR.rounds)):
@@ -148,17 +149,9 @@ def _reckonings_by_walk(reckoning: DeadReckoning, odometry: Odometry) -> list[De
     walk."""
     none = RunNoise(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     noises = [replace(none, **{name: 1.0}) for name in COMPONENTS[:_WALKS]]
-    units = (
-        dead_reckoning(odometry, reckoning.passes, noise, reckoning.systematic) for noise in noises
-    )
+    sums = (walk_sums(odometry, reckoning.passes, noise) for noise in noises)
     # Errors of jumps are not noise, and would be counted once for every component.
-    return [replace(unit, jumps=np.zeros_like(unit.jumps)) for unit in units]
-
-
-def _leg_covariances(reckoning: DeadReckoning, units: list[DeadReckoning]) -> FloatArray:
-    """(3, k, 3, 3) covariance of every leg by each random walk of unit variance."""
-    row = np.flatnonzero(np.diff(reckoning.piece) == 0)
-    return np.stack([leg_covariance(unit, row) for unit in units])
+    return [replace(reckoning, sums=s, jumps=np.zeros_like(reckoning.jumps)) for s in sums]
 
 
 def _with_variances(
@@ -166,10 +159,9 @@ def _with_variances(
 ) -> DeadReckoning:
     """Dead reckoning with other variances of its components, in which its sums are linear."""
     sigma = dict(zip(COMPONENTS, np.sqrt(variance).tolist(), strict=False))
-    sums = reckoning.sums.copy()
-    sums[:, RANDOM] = sum(
-        float(v) * unit.sums[:, RANDOM] for v, unit in zip(variance[:_WALKS], units, strict=True)
-    )
+    sums = np.zeros_like(reckoning.sums)
+    for walk_variance, unit in zip(variance[:_WALKS].tolist(), units, strict=True):
+        sums += walk_variance * unit.sums
     return replace(reckoning, noise=replace(reckoning.noise, **sigma), sums=sums)
 
 

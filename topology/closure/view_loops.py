@@ -17,10 +17,11 @@ from ..arrays import BoolArray, FloatArray, IntArray
 from ..columns import joined, take
 from ..matching.likelihood import LIKELIHOOD
 from ..matching.views import TURN_RAD, Registered, ViewIndex, ViewNull, coarse_fit, register
-from ..ragged import numbered
+from ..posegraph.graph import Measurements
+from ..ragged import rows_within
 from ..se2 import between, compose, inverse, turned_axes, wrap
 from .candidates import pairs_within
-from .dead_reckoning import DeadReckoning, Factors, dead_reckoning_covariance
+from .dead_reckoning import DeadReckoning, relative_covariance
 from .estimate import Estimate, optimise
 from .evidence import EVIDENCE
 from .incremental import needed_odds
@@ -167,7 +168,7 @@ class _Search:
         shift = between(self._estimate.pose[i], self._estimate.pose[j])
         if not len(self._accepted):
             doubt = VIEW_LOOPS.doubt**2
-            return shift, dead_reckoning_covariance(self._reckoning, i, j) * doubt
+            return shift, relative_covariance(self._reckoning, i, j) * doubt
         return shift, self._estimate.relative_covariance(i, j)
 
     def _register_null_pairs(self) -> None:
@@ -217,7 +218,7 @@ class _Search:
         level = np.full(len(tested), -np.inf)
         for side, other_side in ((tested.first, tested.second), (tested.second, tested.first)):
             # Copies of this side are rivals if they are apart from the other side.
-            row, column = _within(side, found.first[copies], 0.0)
+            row, column = rows_within(side, found.first[copies], 0.0)
             opposite, copy_place = other_side[row], found.second[copies[column]]
             distant = np.flatnonzero(opposite != copy_place)
             pairs = np.sort([opposite[distant], copy_place[distant]], axis=0)
@@ -324,7 +325,7 @@ class _Search:
         arc_m = self._arc_m
         likely = np.flatnonzero(odds > 0)
         arc_i, arc_j = arc_m[tested.first], arc_m[tested.second]
-        row, column = _within(arc_i[rows], arc_i[likely], VIEW_LOOPS.beside_m)
+        row, column = rows_within(arc_i[rows], arc_i[likely], VIEW_LOOPS.beside_m)
         along_i = arc_i[likely[column]] - arc_i[rows[row]]
         along_j = arc_j[likely[column]] - arc_j[rows[row]]
         # Both sides have to be other places.
@@ -359,7 +360,9 @@ class _Search:
         )
         for side, other_side, transform in sides:
             # The positions that pair and rival give to the pair's other place.
-            row, column = _within(arc_m[side[likely]], arc_m[side[rivals]], 0.5 * VIEW_LOOPS.cell_m)
+            row, column = rows_within(
+                arc_m[side[likely]], arc_m[side[rivals]], 0.5 * VIEW_LOOPS.cell_m
+            )
             pair, rival = likely[row], rivals[column]
             step_side = between(pose[side[pair]], pose[side[rival]])
             rival_place = compose(pose[side[pair]], compose(step_side, transform[rival]))
@@ -377,7 +380,7 @@ class _Search:
 
     def _with_loops(self) -> DeadReckoning:
         tested, accepted = self._tested, self._accepted
-        loops = Factors(
+        loops = Measurements(
             tested.first[accepted],
             tested.second[accepted],
             tested.transform[accepted],
@@ -394,13 +397,3 @@ class _Search:
         R = turned_axes(-turn)
         information = np.linalg.inv(R @ cov @ R.transpose(0, 2, 1))
         return 0.5 * (information + information.transpose(0, 2, 1))
-
-
-def _within(
-    a: FloatArray | IntArray, b: FloatArray | IntArray, reach: float
-) -> tuple[IntArray, IntArray]:
-    """Pairs of rows of a and b whose values differ by `reach` at most."""
-    order = np.argsort(b, kind="stable")
-    low = np.searchsorted(b[order], a - reach, side="left")
-    row, number = numbered(np.searchsorted(b[order], a + reach, side="right") - low)
-    return row, order[low[row] + number]

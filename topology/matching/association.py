@@ -19,7 +19,7 @@ import numpy as np
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..columns import take
 from ..connected import connected
-from ..ragged import numbered
+from ..ragged import rows_within
 from .correspondence import (
     DEFAULT_GROWTH,
     GrowthSettings,
@@ -159,28 +159,15 @@ def _equal_lengths(x: _Measured, y: _Measured, bound_sigmas: float) -> tuple[Int
     """
     span = 2 * (max(x.length.max(), y.length.max()) + 1.0)
     key_x, key_y = x.kind * span + x.length, y.kind * span + y.length
-    order_x, order_y = np.argsort(key_x, kind="stable"), np.argsort(key_y, kind="stable")
     reach = bound_sigmas * np.sqrt(2.0)
     cap = span / 2 - 0.5  # a window never reaches the next kind
-    i, j = _windows(key_x[order_x], np.minimum(reach * x.sigma[order_x], cap), key_y[order_y])
-    i, j = order_x[i], order_y[j]
-    k, h = _windows(key_y[order_y], np.minimum(reach * y.sigma[order_y], cap), key_x[order_x])
-    k, h = order_y[k], order_x[h]
+    i, j = rows_within(key_x, key_y, np.minimum(reach * x.sigma, cap))
+    k, h = rows_within(key_y, key_x, np.minimum(reach * y.sigma, cap))
     wide_x, wide_y = x.sigma[i] >= y.sigma[j], y.sigma[k] > x.sigma[h]
     i = np.concatenate([i[wide_x], h[wide_y]])
     j = np.concatenate([j[wide_x], k[wide_y]])
     close = np.abs(x.length[i] - y.length[j]) <= bound_sigmas * np.hypot(x.sigma[i], y.sigma[j])
     return i[close], j[close]
-
-
-def _windows(
-    centre: FloatArray, half_width: FloatArray, keys: FloatArray
-) -> tuple[IntArray, IntArray]:
-    """All (row of centre, row of sorted keys) with the key inside the row's window."""
-    low = np.searchsorted(keys, centre - half_width, "left")
-    count = np.searchsorted(keys, centre + half_width, "right") - low
-    rows, number = numbered(count)
-    return rows, low[rows] + number
 
 
 def _slot_nodes(

@@ -56,7 +56,7 @@ def mutual_nearest(
     return BranchPairs((best > cos_gate) & mutual, nearest_b, 2 - 2 * best)
 
 
-def agreeing(
+def agreement_odds(
     pairs: BranchPairs, variance: FloatArray, rarity: FloatArray | float, most: float = np.inf
 ) -> FloatArray:
     """(k,) log likelihood ratio [nats] of paired branches: Σ ln p(d | same) - ln p(heading | any).
@@ -69,7 +69,7 @@ def agreeing(
     return np.asarray(np.add.reduce(terms, axis=1))
 
 
-def missing(pairs: BranchPairs, lack_a: FloatArray, lack_b: FloatArray) -> FloatArray:
+def missing_odds(pairs: BranchPairs, lack_a: FloatArray, lack_b: FloatArray) -> FloatArray:
     """(k,) log likelihood ratio [nats], negative, of branches without a partner.
 
     lack_a: (k, d_a), lack_b: (k, d_b) ln of the rate at which an observation misses that branch,

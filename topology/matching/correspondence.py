@@ -40,14 +40,11 @@ class GrowthSettings:
     """When vertices and corridors are compatible (§2.1, §2.2, §2.3)."""
 
     world: World = "auto"
-    """rectilinear: branch directions are exact up to quarter turns (§2.3); general: they are
-    compared with a tolerance; auto: rectilinear if both maps are."""
+    """rectilinear: branch directions are exact up to quarter turns (§2.3); general: corresponding
+    ones lie within `ONE_WAY_RAD` after the pair's rotation; auto: rectilinear if both maps are."""
     degree: Literal["exact", "inexact"] = "exact"
-    """exact: a static world; inexact: doors open and close (§2.1)."""
-    unmatched_branches: int = 1
-    """Inexact degree: number of branches of either vertex of a pair that may lack a partner."""
-    branch_tolerance_rad: float = ONE_WAY_RAD
-    """General world: largest angle between two corresponding branches after the pair's rotation."""
+    """exact: a static world; inexact: doors open and close, so that one branch of either vertex of
+    a pair may lack a partner (§2.1)."""
     confidence: float = 0.999
     """Probability that a correct match passes the comparison of its lengths."""
     confidence_of: Literal["match", "corridor"] = "match"
@@ -58,8 +55,6 @@ class GrowthSettings:
     def __post_init__(self) -> None:
         if not 0.0 < self.confidence < 1.0:
             raise UsageError(f"a confidence lies between 0 and 1, not at {self.confidence}")
-        if self.unmatched_branches < 0 or not self.branch_tolerance_rad > 0:
-            raise UsageError("branches: neither a count below 0 nor a tolerance of 0 makes sense")
 
     def bound_sigmas(self, corridors: int) -> float:
         """Largest accepted difference of two lengths, in standard deviations, in a match of so many
@@ -113,12 +108,12 @@ def correspond(
     maps are not mirrored.
     """
     if settings.degree == "exact":
-        return _correspond_exact(a, b, at_a, at_b, settings)
-    return _correspond_inexact(a, b, at_a, at_b, settings)
+        return _correspond_exact(a, b, at_a, at_b)
+    return _correspond_inexact(a, b, at_a, at_b)
 
 
 def _correspond_exact(
-    a: Structure, b: Structure, at_a: Ends, at_b: Ends, settings: GrowthSettings
+    a: Structure, b: Structure, at_a: Ends, at_b: Ends
 ) -> tuple[BoolArray, IntArray]:
     """`correspond` for equal degrees: branch i of a with branch i + shift of b, all within the
     tolerance."""
@@ -133,18 +128,18 @@ def _correspond_exact(
     difference = np.where(inside, wrap(a.heading[vertex_a] - hb - anchor[:, None]), 0.0)
     mean = difference.sum(axis=1) / np.maximum(degree, 1)
     deviation = np.where(inside, np.abs(difference - mean[:, None]), 0.0)
-    return equal & (deviation.max(axis=1, initial=0.0) <= settings.branch_tolerance_rad), partner
+    return equal & (deviation.max(axis=1, initial=0.0) <= ONE_WAY_RAD), partner
 
 
 def _correspond_inexact(
-    a: Structure, b: Structure, at_a: Ends, at_b: Ends, settings: GrowthSettings
+    a: Structure, b: Structure, at_a: Ends, at_b: Ends
 ) -> tuple[BoolArray, IntArray]:
-    """`correspond` for inexact degrees: up to `unmatched_branches` of a vertex have no partner."""
+    """`correspond` for inexact degrees: one branch of a vertex may have no partner."""
     # Strategy: the given pair fixes a rotation, and mutually nearest branches within the tolerance
     # correspond. Their mean difference is the rotation of a second pass.
     (vertex_a, branch_a), (vertex_b, branch_b) = at_a, at_b
     ua, ub = a.unit[vertex_a], b.unit[vertex_b]
-    rows, gate = np.arange(len(vertex_a)), float(np.cos(settings.branch_tolerance_rad))
+    rows, gate = np.arange(len(vertex_a)), float(np.cos(ONE_WAY_RAD))
     rotation = ua[rows, branch_a] * ub[rows, branch_b].conj()
     for _ in range(2):
         pairs = mutual_nearest(ua, ub * rotation[:, None], gate)
@@ -152,8 +147,7 @@ def _correspond_inexact(
         total = np.where(pairs.paired, difference, 0.0).sum(axis=1)
         rotation = np.exp(1j * np.angle(total))
     partner, count = np.where(pairs.paired, pairs.nearest, -1), pairs.paired.sum(axis=1)
-    most = settings.unmatched_branches
-    compatible = (a.degree[vertex_a] - count <= most) & (b.degree[vertex_b] - count <= most)
+    compatible = (a.degree[vertex_a] - count <= 1) & (b.degree[vertex_b] - count <= 1)
     return compatible & (partner[rows, branch_a] == branch_b), partner
 
 
@@ -165,9 +159,8 @@ def masks_agree(
     turned = ROTATED[mask_b, turn]
     if settings.degree == "exact":
         return np.asarray(turned == mask_a)
-    most = settings.unmatched_branches
     unpaired_a, unpaired_b = POPCOUNT[mask_a & ~turned], POPCOUNT[turned & ~mask_a]
-    return np.asarray((unpaired_a <= most) & (unpaired_b <= most) & ((mask_a & turned) != 0))
+    return np.asarray((unpaired_a <= 1) & (unpaired_b <= 1) & ((mask_a & turned) != 0))
 
 
 def shared_branches(a: Structure, b: Structure, nodes: Nodes, rectilinear: bool) -> IntArray:

@@ -51,6 +51,32 @@ def _kernel(width: FloatArray, count: int, name: str) -> FloatArray:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Measurements:
+    """Relative poses between nodes of a pose graph.
+
+    source, target: (k,); measurement: (k, 3) T_source_target; information: (k, 3, 3).
+    """
+
+    source: IntArray
+    target: IntArray
+    measurement: FloatArray
+    information: FloatArray
+
+    def __post_init__(self) -> None:
+        k = len(self.source)
+        freeze(self, np.int64, source=(k,), target=(k,))
+        freeze(self, np.float64, measurement=(k, 3), information=(k, 3, 3))
+
+    def __len__(self) -> int:
+        return len(self.source)
+
+
+NO_MEASUREMENTS = Measurements(
+    np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3, 3))
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Priors:
     """Absolute measurements of single poses, in the graph's own frame.
 

@@ -12,7 +12,7 @@ from topobatch.topology.closure.candidates import Candidates, Surroundings
 from topobatch.topology.closure.dead_reckoning import dead_reckoning
 from topobatch.topology.closure.estimate import optimise
 from topobatch.topology.closure.evidence import background
-from topobatch.topology.closure.joint_compatibility import agreeing
+from topobatch.topology.closure.joint_compatibility import jointly_certain
 from topobatch.topology.odometry import Odometry
 
 from ..tracks import passes_at
@@ -63,6 +63,6 @@ def test_identifications_that_agree_on_one_position_are_sure_together(offsets, t
     a, b = np.arange(k), 8 + np.arange(k)
     position = np.full(k, -2.0)
     found = _asked(a, b, position, np.full(k, 4.0))
-    rows, odds, reason = agreeing(estimate, found, common, least_odds=9.0)
+    rows, odds, reason = jointly_certain(estimate, found, common, least_odds=9.0)
     assert (rows.tolist() == list(range(k))) is together
     assert (np.all(odds > 4.5), reason) == (True, "")

@@ -52,7 +52,7 @@ def test_a_track_that_comes_by_again_is_laid_out_again():
     assert rmse(estimate.pose[:, :2], truth) < 0.15 * before
     loops = closed.loops
     assert len(loops) > 10
-    gap = truth[loops.second] - truth[loops.first]
+    gap = truth[loops.target] - truth[loops.source]
     np.testing.assert_allclose(np.hypot(*gap.T), np.hypot(*loops.measurement[:, :2].T), atol=0.5)
 
 
@@ -65,5 +65,5 @@ def test_equal_places_make_no_loops():
     line = [(8, 8), (52, 8), (52, 18), (8, 18), (8, 28), (52, 28), (52, 38), (8, 38)]
     reckoning, index, way, truth = driven(wall, line, 3, bias=0.0003)
     closed, _ = view_loops(reckoning, index, way)
-    gap = truth[closed.loops.second] - truth[closed.loops.first]
+    gap = truth[closed.loops.target] - truth[closed.loops.source]
     assert not np.any(np.hypot(*gap.T) > 5.0)

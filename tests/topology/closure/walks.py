@@ -7,7 +7,6 @@ import itertools
 import numpy as np
 
 from topobatch.topology.closure.branches import branches_of
-from topobatch.topology.closure.dead_reckoning import SystematicErrors
 from topobatch.topology.closure.evidence import background
 from topobatch.topology.closure.growth import MapState
 from topobatch.topology.closure.negative_information import DrivenGround
@@ -31,7 +30,6 @@ NOISE = RunNoise(
 )
 EVERY = 16
 """Odometry rows from one pass to the next, at half a metre each."""
-EXACT = SystematicErrors(1e-6, 1e-6)
 
 
 def grid_world(rows, columns, rng=None):
