@@ -2,6 +2,7 @@
 
     python benchmarks/inside.py [--maps FILE ...] [--kinds rooms,home,…] [--worlds 2] [--runs 3]
         [--way 200] [--seed 1] [--only together,…,door] [--keep DIR]
+    python benchmarks/inside.py --logs FOLDER ... [--parts 2 3] [--worlds 5]
 
 Plans are saved maps (`map.yaml`, one per building) and drawn floors: rows of `rooms`, and the kinds
 of `floors.py`. In each a robot drives between random places; boxes stand anew for every run. Scans
@@ -15,6 +16,10 @@ that made for `fr101`: 1 % of scale, .25°/m, .8°/√m.
   mirrored    a plan and its mirror image
   door        two floors of one plan, with one corridor closed on the second
 
+With `--logs`, folders of recorded runs as `laser.py` reads them: each is cut into parts of about
+one length, `--worlds` times, at other places and with other errors of the odometry. The parts of a
+cut are merged alone.
+
 Floors that differ in furniture alone cannot be told from one floor on two days: what is merged of
 them shows how far the evidence of walls carries.
 """
@@ -24,12 +29,13 @@ from __future__ import annotations
 import argparse
 from collections import Counter
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, pairwise
 from pathlib import Path
 
 import numpy as np
 from floors import CELL_M, drawn
 from grids import rooms
+from laser import Log, logs
 from scipy import ndimage
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
@@ -224,6 +230,31 @@ def run_in(floor: Floor, way_m: float, every_m: float, seed: int, name: str) -> 
     return Driven(floor.name, build_map(run), true)
 
 
+def parts_of(log: Log, count: int, every_m: float, seed: int) -> list[Driven]:
+    """A recorded run cut into so many, by its corrected path, each with an odometry that errs."""
+    rng = np.random.default_rng([seed, count])
+    first = log.scans[0]
+    time_ns = np.concatenate([batch.times_ns for batch in log.scans])
+    seen = np.concatenate([batch.ranges_m for batch in log.scans])
+    inside = (time_ns >= log.truth.time_ns[0]) & (time_ns <= log.truth.time_ns[-1])
+    time_ns, rows = np.unique(time_ns[inside], return_index=True)
+    seen, way = seen[inside][rows], way_of(log.truth.at(time_ns)[:, :2])
+    cuts = way[-1] * (np.arange(1, count) + rng.uniform(-0.15, 0.15, count - 1)) / count
+    runs = []
+    for begin, end in pairwise([0.0, *cuts, np.inf]):
+        part = np.flatnonzero((way >= begin) & (way < end))
+        part = part[np.unique((way[part] / every_m).astype(np.int64), return_index=True)[1]]
+        true = Odometry(time_ns[part], log.truth.at(time_ns[part]), np.zeros(0, np.int64))
+        batch = ScanBatch(true.time_ns, seen[part], float(np.max(first.free_m)), first.angles_rad)
+        found = detect(odometry(true, rng), [batch], may_lag=False)
+        run = Run(f"{log.name}-{len(runs)}", found.odometry, NO_DETECTIONS, scanned=found.scanned)
+        along = np.arange(way[part[0]], way[part[-1]], STEP_M)
+        dense_ns = np.interp(along, way[part], true.time_ns).astype(np.int64)
+        dense = Odometry(dense_ns, log.truth.at(dense_ns), np.zeros(0, np.int64))
+        runs.append(Driven(log.name, build_map(run), dense))
+    return runs
+
+
 def shared_m(a: Driven, b: Driven) -> float:
     """Way of b that a drove, too [m]."""
     near, _ = cKDTree(a.true.pose[:, :2]).query(b.true.pose[:, :2])
@@ -267,6 +298,15 @@ def rmse_m(run: Driven) -> float:
     return float(np.sqrt((off**2).sum(axis=1).mean()))
 
 
+def in_parts(options: argparse.Namespace) -> None:
+    """Print counts for recorded runs cut into parts."""
+    for log in (log for folder in options.logs for log in logs(folder)):
+        for count in options.parts:
+            cuts = (parts_of(log, count, options.every, seed) for seed in range(options.worlds))
+            total = sum(map(judge, cuts), Counter[str]())
+            print(f"{log.name} in {count}: {dict(total)}", flush=True)
+
+
 def floors(options: argparse.Namespace) -> list[Floor]:
     """The plans."""
     plain = options.worlds if "rooms" in options.kinds else 0
@@ -297,6 +337,8 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
     command.add_argument("--maps", type=Path, nargs="*", default=[])
+    command.add_argument("--logs", type=Path, nargs="*", default=[])
+    command.add_argument("--parts", type=int, nargs="*", default=[2, 3])
     command.add_argument("--kinds", type=lambda text: text.split(","), default=["rooms"])
     command.add_argument("--worlds", type=int, default=2, help="drawn floors of a kind")
     command.add_argument("--runs", type=int, default=3, help="per floor")
@@ -306,6 +348,8 @@ def main() -> None:
     command.add_argument("--only", type=lambda text: text.split(","), default=list(KINDS))
     command.add_argument("--keep", type=Path, help="folder for the maps")
     options = command.parse_args()
+    if options.logs:
+        return in_parts(options)
     plans = floors(options)
     rng = np.random.default_rng(options.seed)
     for kind in options.only:
