@@ -54,6 +54,7 @@ from topobatch.topology.polyline import way_of
 from topobatch.topology.run import NO_DETECTIONS, Grid, Run
 from topobatch.topology.se2 import apply, compose, fit_rigid, inverse
 from topobatch.topology.topomap import TopoMap
+from topobatch.topology.track import way_at
 
 STEP_M, SPEED = 0.1, 0.5
 REACH_M = 30.0
@@ -225,9 +226,13 @@ def run_in(floor: Floor, way_m: float, every_m: float, seed: int, name: str) -> 
     rows = slice(0, None, max(round(every_m / STEP_M), 1))
     seen = ranges(here, pose[rows]) + rng.normal(0, 0.02, (len(pose[rows]), len(BEAMS)))
     batch = ScanBatch(time_ns[rows], seen.astype(np.float32), REACH_M, BEAMS)
+    return Driven(floor.name, map_of(name, batch, true, rng), true)
+
+
+def map_of(name: str, batch: ScanBatch, true: Odometry, rng: np.random.Generator) -> TopoMap:
+    """The map of a run by its scans, with an odometry that errs."""
     found = detect(odometry(true, rng), [batch], may_lag=False)
-    run = Run(name, found.odometry, NO_DETECTIONS, scanned=found.scanned)
-    return Driven(floor.name, build_map(run), true)
+    return build_map(Run(name, found.odometry, NO_DETECTIONS, scanned=found.scanned))
 
 
 def parts_of(log: Log, count: int, every_m: float, seed: int) -> list[Driven]:
@@ -238,7 +243,7 @@ def parts_of(log: Log, count: int, every_m: float, seed: int) -> list[Driven]:
     seen = np.concatenate([batch.ranges_m for batch in log.scans])
     inside = (time_ns >= log.truth.time_ns[0]) & (time_ns <= log.truth.time_ns[-1])
     time_ns, rows = np.unique(time_ns[inside], return_index=True)
-    seen, way = seen[inside][rows], way_of(log.truth.at(time_ns)[:, :2])
+    seen, way = seen[inside][rows], way_at(log.truth, time_ns)
     cuts = way[-1] * (np.arange(1, count) + rng.uniform(-0.15, 0.15, count - 1)) / count
     runs = []
     for begin, end in pairwise([0.0, *cuts, np.inf]):
@@ -246,12 +251,11 @@ def parts_of(log: Log, count: int, every_m: float, seed: int) -> list[Driven]:
         part = part[np.unique((way[part] / every_m).astype(np.int64), return_index=True)[1]]
         true = Odometry(time_ns[part], log.truth.at(time_ns[part]), np.zeros(0, np.int64))
         batch = ScanBatch(true.time_ns, seen[part], float(np.max(first.free_m)), first.angles_rad)
-        found = detect(odometry(true, rng), [batch], may_lag=False)
-        run = Run(f"{log.name}-{len(runs)}", found.odometry, NO_DETECTIONS, scanned=found.scanned)
+        topomap = map_of(f"{log.name}-{len(runs)}", batch, true, rng)
         along = np.arange(way[part[0]], way[part[-1]], STEP_M)
         dense_ns = np.interp(along, way[part], true.time_ns).astype(np.int64)
         dense = Odometry(dense_ns, log.truth.at(dense_ns), np.zeros(0, np.int64))
-        runs.append(Driven(log.name, build_map(run), dense))
+        runs.append(Driven(log.name, topomap, dense))
     return runs
 
 

@@ -163,8 +163,9 @@ def _joining(result: MergeResult, site: SiteOf, wanted: Collection[int]) -> Iter
 
 
 def _is_open(pair: PairVerdict) -> bool:
-    """Whether a drive could settle a pair: it is open, and no person decided."""
-    return pair.standing is Standing.AMBIGUOUS and pair.locked is None
+    """Whether a drive could settle a pair: it is open, has a placement, and no person decided."""
+    is_open = pair.standing is Standing.AMBIGUOUS
+    return is_open and pair.best is not None and pair.locked is None
 
 
 def _right(pair: PairVerdict) -> float:

@@ -34,7 +34,6 @@ from .map_schema import (
     validated,
 )
 from .passes import NO_BRANCH
-from .polyline import way_of
 from .ragged import Ragged, parted
 from .topomap import Closure, Graph, RunNoise, TopoMap
 from .turning_vertices import with_turning_points, without_turning_points
@@ -175,8 +174,8 @@ def map_from_document(doc: Any, name: str = "map document") -> TopoMap:
     info = {k: v for k, v in d.graph.model_dump(exclude_unset=True).items() if k not in known}
     noise, fitted = _noise(d.graph.noise), d.graph.fitted_noise
     edges = edge_fields(d.edges)
-    lengths = [float(way_of(path)[-1]) for path in edges["paths"]]
-    for k, length in enumerate(lengths):
+    lengths = _lengths(edges["paths"])
+    for k, length in enumerate(lengths.tolist()):
         if length > LONGEST_M:
             raise DocumentError(f"{name}: edges.{k}.path: is longer than {LONGEST_M / 1000:.0f} km")
     if sum(lengths) > LONGEST_TOGETHER_M:
@@ -207,6 +206,18 @@ def map_from_document(doc: Any, name: str = "map document") -> TopoMap:
         return without_turning_points(topomap)
     except ValueError as error:
         raise DocumentError(f"{name}: {error}") from error
+
+
+def _lengths(paths: Sequence[FloatArray]) -> FloatArray:
+    """(k,) lengths [m] of paths of two points or more; of a whole map at once, as path by path
+    takes a sixth of the time of reading a document."""
+    size = np.array([len(path) for path in paths], np.int64)
+    step = np.diff(np.concatenate([np.zeros((0, 2)), *paths]), axis=0)
+    between = np.cumsum(size)[:-1] - 1
+    long = np.hypot(step[:, 0], step[:, 1])
+    long[between] = 0.0
+    owner = np.arange(len(paths)).repeat(size)[1:]
+    return np.asarray(np.bincount(owner, long, len(paths)), np.float64)
 
 
 def _noise_to_document(noise: RunNoise) -> dict[str, float]:

@@ -73,6 +73,11 @@ def apply(T_a_b: Any, xy_b: Any) -> FloatArray:
     return np.stack([x, y], axis=-1)
 
 
+def xy_as_complex(points: FloatArray) -> ComplexArray:
+    """(n,) x + iy of points or poses, (n, 2) or (n, 3)."""
+    return np.asarray(points[:, 0] + 1j * points[:, 1])
+
+
 def rigid_from_sums(
     weight: Any, sum_a: Any, sum_b: Any, sum_ab: Any, lever: Any = 0.0
 ) -> tuple[Any, Any, Any]:
@@ -118,8 +123,7 @@ def fit_groups(
     xy_a, xy_b: (n, 2); group: (n,) group of each pair, every group present; weight: (n,); turn:
     (count,) given rotations as unit numbers, 0 for those to be estimated.
     """
-    a: ComplexArray = xy_a[:, 0] + 1j * xy_a[:, 1]
-    b: ComplexArray = xy_b[:, 0] + 1j * xy_b[:, 1]
+    a, b = xy_as_complex(xy_a), xy_as_complex(xy_b)
     total = np.bincount(group, weight)
     mean_a, mean_b = _grouped(group, weight * a) / total, _grouped(group, weight * b) / total
     # About the means: far from the origin the sums themselves would lose digits.

@@ -136,8 +136,9 @@ AllUnseen = tuple[IntArray, Unseen]
 def _by_lane(unseen: AllUnseen, first_vertex: IntArray, first_edge: IntArray) -> list[Unseen]:
     """Those of each lane with a weight above 0, numbered as in its maps. first_vertex, first_edge:
     (l,) first rows of its two maps in the atlases."""
-    positive = unseen[1].bits.nonzero()[0]
-    lane, found = unseen[0][positive], take(unseen[1], positive)
+    lane, found = unseen
+    positive = found.bits.nonzero()[0]
+    lane, found = lane[positive], take(found, positive)
     found = replace(
         found, vertex=found.vertex - first_vertex[lane], edge=found.edge - first_edge[lane]
     )

@@ -14,6 +14,7 @@ from ...topology.matching.likelihood import BIT, density_of_equals, length_log_d
 from ...topology.matching.structure import padded_branches
 from ...topology.passes import NO_BRANCH
 from ...topology.ragged import numbered
+from ...topology.se2 import xy_as_complex
 from ...topology.topomap import RunNoise, TopoMap
 from ...topology.views import Views
 from .branch_patterns import branch_offsets, pattern_bits, pattern_keys, sector_masks
@@ -226,7 +227,7 @@ def prepare(topomap: TopoMap) -> Prepared:
     their ends, which §2 compares, are indexed so that compatible ones are found by bisection.
     """
     m = topomap
-    z = m.xy[:, 0] + 1j * m.xy[:, 1]
+    z = xy_as_complex(m.xy)
     heading, count = padded_branches(m), m.branches.counts
     passes = np.bincount(m.observation_vertex, minlength=len(z))
     observations = np.maximum(passes, 1).astype(np.int64)
@@ -309,7 +310,7 @@ def _corridor_shapes(
     paths = [m.paths[r] for r in rows.tolist()]
     count = np.array([len(path) for path in paths])
     flat = np.concatenate(paths)
-    z_path = flat[:, 0] + 1j * flat[:, 1]
+    z_path = xy_as_complex(flat)
     start_row = np.concatenate([[0], np.cumsum(count)[:-1]])
     step = np.abs(np.diff(z_path, prepend=z_path[:1]))
     step[start_row] = 0.0

@@ -20,7 +20,7 @@ from scipy.spatial import cKDTree
 
 from ...topology.arrays import ComplexArray, FloatArray, IntArray
 from ...topology.matching.views import ViewIndex
-from ...topology.se2 import wrap
+from ...topology.se2 import wrap, xy_as_complex
 from ...topology.views import CELL_M, FREE, REACH_M, Views
 from .settings import MATCH
 
@@ -76,7 +76,7 @@ class Picture:
     @cached_property
     def place(self) -> ComplexArray:
         """(n,) positions of the views, x + iy [m]."""
-        return np.asarray(self.pose[:, 0] + 1j * self.pose[:, 1])
+        return xy_as_complex(self.pose)
 
     @cached_property
     def arc_m(self) -> FloatArray:

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...topology.arrays import FloatArray, IntArray
 from ...topology.posegraph.graph import NO_MEASUREMENTS, Measurements
-from ...topology.se2 import between, compose, inverse, turned_axes
+from ...topology.se2 import between, compose, inverse, turned_axes, xy_as_complex
 from .prepare import Prepared
 from .view_evidence import ViewEvidence
 
@@ -48,7 +48,6 @@ def view_ties(a: Prepared, b: Prepared, views: ViewEvidence) -> Measurements:
 def _anchors(m: Prepared, rows: IntArray) -> tuple[IntArray, FloatArray]:
     """(k,) the junction nearest to each view, and (k, 3) the view's pose in its frame."""
     pose = m.views.pose[rows]
-    position = pose[:, 0] + 1j * pose[:, 1]
-    vertex = np.abs(position[:, None] - m.z).argmin(axis=1)
+    vertex = np.abs(xy_as_complex(pose)[:, None] - m.z).argmin(axis=1)
     z = m.z[vertex]
     return vertex, between(np.column_stack([z.real, z.imag, np.zeros(len(z))]), pose)

@@ -54,6 +54,7 @@ def dead_reckoning(
     piece = piece_of(odometry, passes.time_ns)
     leg = np.where(np.diff(stretch_of(odometry, passes.time_ns)) == 0, np.diff(way), np.nan)
     track = track_directions(odometry, passes.time_ns, passes.centre)
+    centroids, centred = about_centroids(odometry)
     return DeadReckoning(
         passes=passes,
         noise=noise,
@@ -62,9 +63,9 @@ def dead_reckoning(
         arriving=track.arriving,
         leaving=track.leaving,
         aside=np.hypot(*(odometry.at(passes.time_ns)[:, :2] - passes.centre).T),
-        origin=_about_centroids(odometry)[0][piece],
-        sums=walk_sums(odometry, passes, noise),
-        jumps=_jump_sums(odometry, passes),
+        origin=centroids[piece],
+        sums=walk_sums(odometry, passes, noise, centred),
+        jumps=_jump_sums(odometry, passes, centred),
         loops=_loops_of_passes(odometry, passes, noise, revisits),
     )
 
@@ -126,7 +127,7 @@ def scale_noise(reckoning: DeadReckoning, factor: float) -> DeadReckoning:
     return replace(reckoning, noise=noise, sums=sums)
 
 
-def _about_centroids(odometry: Odometry) -> tuple[FloatArray, FloatArray]:
+def about_centroids(odometry: Odometry) -> tuple[FloatArray, FloatArray]:
     """(q, 2) centroid of every unbroken piece [m], and (n, 2) positions relative to that of their
     piece [m].
 
@@ -138,27 +139,31 @@ def _about_centroids(odometry: Odometry) -> tuple[FloatArray, FloatArray]:
     return centroids, position - centroids[piece]
 
 
-def walk_sums(odometry: Odometry, passes: Passes, noise: RunNoise) -> FloatArray:
+def walk_sums(
+    odometry: Odometry, passes: Passes, noise: RunNoise, centred: FloatArray
+) -> FloatArray:
     """(p, 7) `_variance_sums` of the odometry's random walks."""
     step, turn = odometry.step_m, np.abs(odometry.turn_rad)
     heading_variance = noise.heading_rad_per_sqrt_m**2 * step
     heading_variance = heading_variance + noise.heading_rad_per_sqrt_rad**2 * turn
-    return _variance_sums(odometry, passes, heading_variance, noise.along_m_per_sqrt_m**2 * step)
+    along_variance = noise.along_m_per_sqrt_m**2 * step
+    return _variance_sums(odometry, passes, heading_variance, along_variance, centred)
 
 
-def _jump_sums(odometry: Odometry, passes: Passes) -> FloatArray:
+def _jump_sums(odometry: Odometry, passes: Passes, centred: FloatArray) -> FloatArray:
     """(p, 7) `_variance_sums` of the odometry's jumps."""
     heading_variance, along_variance = np.zeros(len(odometry)), np.zeros(len(odometry))
     along_variance[odometry.jumps], heading_variance[odometry.jumps] = odometry.jump_sigma.T**2
-    return _variance_sums(odometry, passes, heading_variance, along_variance)
+    return _variance_sums(odometry, passes, heading_variance, along_variance, centred)
 
 
 def _variance_sums(
-    odometry: Odometry, passes: Passes, q: FloatArray, along: FloatArray
+    odometry: Odometry, passes: Passes, q: FloatArray, along: FloatArray, centred: FloatArray
 ) -> FloatArray:
     """(p, 7) sums over all odometry steps before each pass: Σq, Σq x, Σq y, Σq x², Σq xy, Σq y²
-    with q (n,) the heading variance of a step, and Σ of its variance along the way (n,)."""
-    x, y = _about_centroids(odometry)[1].T
+    with q (n,) the heading variance of a step, and Σ of its variance along the way (n,).
+    centred: (n, 2) its position by `about_centroids`."""
+    x, y = centred.T
     columns = np.stack([q, q * x, q * y, q * x * x, q * x * y, q * y * y, along], axis=1)
     sums = np.cumsum(columns, axis=0)
     return np.stack([interpolated(odometry, column, passes.time_ns) for column in sums.T], axis=1)

@@ -19,7 +19,7 @@ from ..odometry import Odometry
 from ..posegraph.graph import edge_errors, prior_errors
 from ..posegraph.samples import SampledMarginals, square_root
 from ..topomap import RunNoise
-from .dead_reckoning import DeadReckoning, walk_sums
+from .dead_reckoning import DeadReckoning, about_centroids, walk_sums
 from .estimate import ESTIMATE, Estimate, leg_covariance, optimise
 from .manhattan import GridHeadings, with_spread
 
@@ -149,7 +149,8 @@ def _reckonings_by_walk(reckoning: DeadReckoning, odometry: Odometry) -> list[De
     walk."""
     none = RunNoise(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     noises = [replace(none, **{name: 1.0}) for name in COMPONENTS[:_WALKS]]
-    sums = (walk_sums(odometry, reckoning.passes, noise) for noise in noises)
+    _, centred = about_centroids(odometry)
+    sums = (walk_sums(odometry, reckoning.passes, noise, centred) for noise in noises)
     # Errors of jumps are not noise, and would be counted once for every component.
     return [replace(reckoning, sums=s, jumps=np.zeros_like(reckoning.jumps)) for s in sums]
 
